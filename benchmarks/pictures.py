@@ -4,13 +4,13 @@ import importlib
 import os
 import statistics
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import cv2
 import numpy as np
 
+from benchmarks.measurement import Row, at_most, untargeted
 from benchmarks.sample_street import EGO, sample_street, sample_traffic
 from brink.sim.aeb.dataset import example_picture
 from brink.sim.perturbations import CATALOGUE, Frame, Gene, Perturbation, apply, generator
@@ -46,33 +46,7 @@ AT_MIDDLE_LEVEL = {"gaussian_blur"}
 BEYOND_COPY = {"grid_dropout", "coarse_dropout"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameTime:
-    """Median CPU times of rendering a frame and computing its labels.
-
-    Attributes:
-        width_px: Width of the frame.
-        height_px: Height of the frame.
-        light: Time of day and weather.
-        frame_ms: Time of the picture.
-        labels_ms: Time of its labels.
-        target_ms: Longest allowed time of the picture, or None.
-    """
-
-    width_px: int
-    height_px: int
-    light: str
-    frame_ms: float
-    labels_ms: float
-    target_ms: float | None
-
-    @property
-    def met(self) -> bool | None:
-        """Whether the target is met; None without a target."""
-        return None if self.target_ms is None else self.frame_ms <= self.target_ms
-
-
-def measure_rendering(frames: int = 60) -> list[FrameTime]:
+def measure_rendering(frames: int = 60) -> Iterator[Row]:
     """Measure rendering for each size and lighting condition, with a moving ego and walking pedestrians.
 
     Args:
@@ -80,23 +54,13 @@ def measure_rendering(frames: int = 60) -> list[FrameTime]:
     """
     cv2.setNumThreads(1)
     street = sample_street()
-    found = []
     for width_px, height_px, target_ms in FRAME_SIZES:
         for time_of_day, weather in LIGHTS:
             camera = PictureCamera(width_px=width_px, height_px=height_px)
             renderer = Renderer(street, Light(time_of_day=time_of_day, weather=weather), camera, 3)
             frame_ms, labels_ms = _frame_times(renderer, frames)
-            found.append(
-                FrameTime(
-                    width_px=width_px,
-                    height_px=height_px,
-                    light=f"{time_of_day} {weather}",
-                    frame_ms=frame_ms,
-                    labels_ms=labels_ms,
-                    target_ms=target_ms,
-                )
-            )
-    return found
+            what = f"ms a frame, {width_px} x {height_px}, {time_of_day} {weather}"
+            yield at_most(what, frame_ms, target_ms, f"labels {labels_ms:.2f} ms")
 
 
 def _frame_times(renderer: Renderer, frames: int) -> tuple[float, float]:
@@ -115,37 +79,7 @@ def _frame_times(renderer: Renderer, frames: int) -> tuple[float, float]:
     return statistics.median(drawing), statistics.median(labelling)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GeneTime:
-    """Median CPU time of a perturbation.
-
-    Attributes:
-        height_px: Height of the 16:9 frame.
-        gene: Name of the gene.
-        low_ms: Time at the lowest level.
-        middle_ms: Time at the middle level.
-        top_ms: Time at the highest level.
-        target_ms: Longest allowed time, or None.
-        met: Whether the target is met; None without a target.
-        albumentations_ms: Time of the albumentations equivalent at the highest level, or None.
-    """
-
-    height_px: int
-    gene: str
-    low_ms: float
-    middle_ms: float
-    top_ms: float
-    target_ms: float | None
-    met: bool | None
-    albumentations_ms: float | None
-
-    @property
-    def ratio(self) -> float | None:
-        """Time of the albumentations equivalent divided by that of the perturbation; None if it was not measured."""
-        return None if self.albumentations_ms is None else self.albumentations_ms / self.top_ms
-
-
-def measure_perturbations(heights_px: Sequence[int] = (360, 720), repeats: int = 40) -> list[GeneTime]:
+def measure_perturbations(heights_px: Sequence[int] = (360, 720), repeats: int = 40) -> Iterator[Row]:
     """Measure every perturbation and, if albumentations is installed, its equivalent there.
 
     Args:
@@ -154,42 +88,33 @@ def measure_perturbations(heights_px: Sequence[int] = (360, 720), repeats: int =
     """
     cv2.setNumThreads(1)
     theirs, street = _albumentations(), example_picture()
-    found = []
     for height_px in heights_px:
         size_px = round(street.shape[1] * height_px / street.shape[0]), height_px
         frame = cv2.resize(street, size_px, interpolation=cv2.INTER_AREA).astype(np.uint8)
         copy_ms = _copy_ms(frame, repeats)
-        found += [
-            _gene_time(gene, frame, theirs.get(gene.name), copy_ms, repeats) for gene in CATALOGUE.values()
-        ]
-    return found
+        for gene in CATALOGUE.values():
+            yield _gene_row(gene, frame, theirs.get(gene.name), copy_ms, repeats)
 
 
-def _gene_time(
+def _gene_row(
     gene: Gene, frame: Frame, theirs: Callable[..., Any] | None, copy_ms: float, repeats: int
-) -> GeneTime:
+) -> Row:
+    """Return the time at the highest level, with the target if the frame has 720 rows."""
     levels = (1, gene.levels // 2, gene.levels - 1)
     low_ms, middle_ms, top_ms = (
         _level_ms(Perturbation(gene.name, level), frame, repeats) for level in levels
     )
-    has_targets = frame.shape[0] == 720
-    target_ms = GENE_TARGETS_MS.get(gene.name) if has_targets else None
-    met = albumentations_ms = None
-    if target_ms is not None:
-        measured_ms = middle_ms if gene.name in AT_MIDDLE_LEVEL else max(low_ms, middle_ms, top_ms)
-        met = measured_ms <= target_ms + (copy_ms if gene.name in BEYOND_COPY else 0.0)
+    note = f"lowest level {low_ms:.2f}, middle {middle_ms:.2f}"
+    what, has_targets = f"ms of {gene.name}, {frame.shape[0]} px", frame.shape[0] == 720
     if theirs is not None and has_targets:  # their sizes in px do not scale with the frame
-        albumentations_ms = _median_ms(lambda _: theirs(image=frame), max(5, repeats // 4))
-    return GeneTime(
-        height_px=frame.shape[0],
-        gene=gene.name,
-        low_ms=low_ms,
-        middle_ms=middle_ms,
-        top_ms=top_ms,
-        target_ms=target_ms,
-        met=met,
-        albumentations_ms=albumentations_ms,
-    )
+        theirs_ms = _median_ms(lambda _: theirs(image=frame), max(5, repeats // 4))
+        note += f"; albumentations {theirs_ms:.2f}, {theirs_ms / top_ms:.1f} times as long"
+    target_ms = GENE_TARGETS_MS.get(gene.name) if has_targets else None
+    if target_ms is None:
+        return untargeted(what, top_ms, note)
+    judged_ms = middle_ms if gene.name in AT_MIDDLE_LEVEL else max(low_ms, middle_ms, top_ms)
+    bound_ms = target_ms + (copy_ms if gene.name in BEYOND_COPY else 0.0)
+    return Row(what=what, value=top_ms, target=f"at most {target_ms:g}", met=judged_ms <= bound_ms, note=note)
 
 
 def _level_ms(perturbation: Perturbation, frame: Frame, repeats: int) -> float:

@@ -6,9 +6,9 @@ Commands import their measurement when they are called: most load a simulator or
 import typer
 
 from benchmarks.cli.errors import errors
-from benchmarks.cli.monitors import guard, monitor, monitor_accuracy
+from benchmarks.cli.monitors import guard, monitor_accuracy
 from benchmarks.cli.perception import detector, perturbations, rendering, simood
-from benchmarks.cli.searches import mumoea, paper, search
+from benchmarks.cli.searches import mumoea, search
 from benchmarks.cli.service import archive, chaos, dashboard, queue, scale, soak, stalls, turns
 from benchmarks.cli.statistics import coverage
 from benchmarks.cli.urban import control, difficulty, drivers, sim
@@ -34,9 +34,7 @@ for _command in (
     rendering,
     perturbations,
     search,
-    paper,
     mumoea,
-    monitor,
     monitor_accuracy,
     guard,
     coverage,

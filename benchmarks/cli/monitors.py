@@ -6,37 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from benchmarks.cli.output import (
-    Processes,
-    any_missed,
-    conclude,
-    conclude_times,
-    rows_table,
-    show_progress,
-    value_table,
-)
+from benchmarks.cli.output import Processes, any_missed, conclude, rows_table, show_progress, value_table
 from brink.cli.options import RESULTS, AsJson, check_picture, fields, save_picture
 from brink.search.analysis.monitor import Answer
 from brink.server.errors import InvalidInput
 
 if TYPE_CHECKING:
     from benchmarks.guard import Judged
-
-
-def monitor(as_json: AsJson = False) -> None:
-    """Measure the time of a query to safety monitors fitted to archives of growing size.
-
-    Example: python -m benchmarks monitor
-    """
-    from benchmarks.search import measure_monitor
-
-    columns = {
-        "learned from": "{0.solutions:,}",
-        "min ms": "{0.min_ms:.3f}",
-        "median ms": "{0.median_ms:.3f}",
-    }
-    names = ("solutions", "min_ms", "median_ms", "target_ms")
-    conclude_times(measure_monitor(), columns, *names, as_json=as_json)
 
 
 def monitor_accuracy(

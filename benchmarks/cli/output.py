@@ -1,6 +1,6 @@
 """What all measurements share: progress, tables of figures and targets, JSON, and the exit status."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Annotated, Any
 
@@ -63,29 +63,10 @@ def conclude(document: Any, *shown: RenderableType, as_json: bool, missed: bool 
         raise typer.Exit(1)
 
 
-def conclude_rows(rows: list[Row], *, as_json: bool) -> None:
+def conclude_rows(measured: Iterable[Row], *, as_json: bool) -> None:
     """Print measured figures with their targets, and exit with 1 if a target is missed."""
+    rows = list(measured)
     conclude([fields(row) for row in rows], rows_table(rows), as_json=as_json, missed=any_missed(rows))
-
-
-def conclude_times(rows: Iterable[Any], columns: Mapping[str, str], *names: str, as_json: bool) -> None:
-    """Print measured times with their targets in ms; a missed one does not change the exit status.
-
-    Args:
-        rows: Measurements with the attributes `target_ms` and `met`.
-        columns: Format of each column's value, by header.
-        names: Fields of the JSON document; all by default.
-        as_json: Whether to print the document.
-    """
-    found = list(rows)
-    table = value_table(
-        (*columns, "target ms", ""),
-        (
-            (*(form.format(row) for form in columns.values()), bound_text(row.target_ms), met_text(row.met))
-            for row in found
-        ),
-    )
-    conclude([fields(row, *names) for row in found], table, as_json=as_json)
 
 
 def rows_table(rows: Iterable[Row], form: str = ".4g") -> Table:
@@ -117,8 +98,3 @@ def value_table(columns: Sequence[str], rows: Iterable[Sequence[object]] = ()) -
 def met_text(met: bool | None) -> str:
     """Return whether a target is met; empty if there is none."""
     return {None: "", True: "met", False: "MISSED"}[met]
-
-
-def bound_text(bound: float | None) -> str:
-    """Return an upper bound in words; empty without one."""
-    return "" if bound is None else f"at most {bound:g}"

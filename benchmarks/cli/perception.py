@@ -11,16 +11,13 @@ from rich.text import Text
 from benchmarks.cli.output import (
     Processes,
     any_missed,
-    bound_text,
     conclude,
     conclude_rows,
-    conclude_times,
-    met_text,
     rows_table,
     show_progress,
     value_table,
 )
-from brink.cli.options import RESULTS, AsJson, check_picture, fields, save_picture
+from brink.cli.options import RESULTS, AsJson, check_picture, save_picture
 from brink.server.errors import InvalidInput
 from brink.sim.perception.user_files import DEFAULT_DETECTOR
 
@@ -231,13 +228,7 @@ def rendering(
     """
     from benchmarks.pictures import measure_rendering
 
-    columns = {
-        "size": "{0.width_px} x {0.height_px}",
-        "light": "{0.light}",
-        "frame ms": "{0.frame_ms:.2f}",
-        "labels ms": "{0.labels_ms:.2f}",
-    }
-    conclude_times(measure_rendering(frames), columns, as_json=as_json)
+    conclude_rows(measure_rendering(frames), as_json=as_json)
 
 
 def perturbations(
@@ -255,21 +246,4 @@ def perturbations(
     """
     from benchmarks.pictures import measure_perturbations
 
-    rows = measure_perturbations(heights or (360, 720), repeats)
-    table = value_table(
-        ("height px", "gene", "low ms", "middle ms", "top ms", "target ms", "", "albumentations ms", "ratio"),
-        (
-            (
-                row.height_px,
-                row.gene,
-                f"{row.low_ms:.2f}",
-                f"{row.middle_ms:.2f}",
-                f"{row.top_ms:.2f}",
-                bound_text(row.target_ms),
-                met_text(row.met),
-                *(("", "") if row.ratio is None else (f"{row.albumentations_ms:.2f}", f"{row.ratio:.1f}")),
-            )
-            for row in rows
-        ),
-    )
-    conclude([fields(row) for row in rows], table, as_json=as_json)
+    conclude_rows(measure_perturbations(heights or (360, 720), repeats), as_json=as_json)

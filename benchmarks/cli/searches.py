@@ -1,37 +1,13 @@
 """`python -m benchmarks search | paper | mumoea`: the cost of a search, and what its methods find."""
 
-import asyncio
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-import httpx
 import typer
 
-from benchmarks.cli.output import (
-    Processes,
-    conclude,
-    conclude_rows,
-    conclude_times,
-    met_text,
-    show_progress,
-    value_table,
-)
-from brink.api.client import TIMEOUT, Api
-from brink.cli.campaigns import follow
-from brink.cli.compare import compared, print_rows, rows_json
-from brink.cli.options import RESULTS, AsJson, console
-from brink.search.analysis.comparison import Row as ComparisonRow
-from brink.server.api.schemas import CampaignView
-from brink.server.api.schemas import Progress as CampaignProgress
-from brink.server.campaigns.body import CampaignBody, read_campaign_file
+from benchmarks.cli.output import Processes, conclude_rows, show_progress
+from brink.cli.options import RESULTS, AsJson
 from brink.server.errors import InvalidInput
-
-if TYPE_CHECKING:
-    pass
-
-HEREDITY_FILE = Path("examples") / "heredity.yaml"
-PAPER_FILES = tuple(Path("examples") / f"paper-{name}.yaml" for name in ("mlcshe", "ga", "random"))
-PAPER_TARGET_S = 180.0
 
 
 def search(as_json: AsJson = False) -> None:
@@ -41,61 +17,7 @@ def search(as_json: AsJson = False) -> None:
     """
     from benchmarks.search import measure_steps
 
-    columns = {
-        "archived": "{0.solutions:,}",
-        "new": "{0.new}",
-        "min ms": "{0.min_ms:.2f}",
-        "median ms": "{0.median_ms:.2f}",
-    }
-    conclude_times(measure_steps(), columns, as_json=as_json)
-
-
-def paper(
-    workers: Annotated[int, typer.Option(min=1, help="Number of worker processes.")] = 2,
-    database: Annotated[str, typer.Option(help="Database URL.")] = "sqlite:///brink-paper.db",
-    files: Annotated[list[Path] | None, typer.Argument(help="Campaign files.")] = None,
-    control: Annotated[
-        bool, typer.Option(help="Add controls: verdicts redrawn independently of behaviour.")
-    ] = True,
-    as_json: AsJson = False,
-) -> None:
-    """Run the paper's three campaigns and print their DBS tables, each campaign with its control.
-
-    Example: python -m benchmarks paper --workers 2
-    """
-    from benchmarks.service import embedded_service
-
-    bodies = [read_campaign_file(path) for path in files or PAPER_FILES]
-    with embedded_service(database, RESULTS / "worker.log", workers) as (url, _):
-        times, rows = asyncio.run(_paper(url, bodies, control=control, quiet=as_json))
-    target = f"under {PAPER_TARGET_S:.0f}"
-    table = value_table(
-        ("campaign", "seconds", "target", ""),
-        (
-            (name, f"{seconds:.0f}", target, met_text(seconds < PAPER_TARGET_S))
-            for name, seconds in times.items()
-        ),
-    )
-    conclude({"seconds": times, "rows": rows_json(rows)}, table, "", as_json=as_json)
-    if not as_json:
-        print_rows(console(), rows)
-
-
-async def _paper(
-    url: str, bodies: list[CampaignBody], *, control: bool, quiet: bool
-) -> tuple[dict[str, float], list[ComparisonRow]]:
-    """Run campaigns one after another; return their durations in seconds and their comparison."""
-    times: dict[str, float] = {}
-    ids = []
-    async with httpx.AsyncClient(base_url=url, timeout=TIMEOUT) as client:
-        api = Api(client, url)
-        for body in bodies:
-            fresh = body.model_copy(update={"execution": body.execution.model_copy(update={"cache": False})})
-            campaign = (await api.send(CampaignView, "/campaigns", fresh.model_dump(mode="json"))).id
-            ids.append(campaign)
-            await follow(api, campaign, as_json=False, quiet=quiet)
-            times[body.name] = (await api.read(CampaignProgress, f"/campaigns/{campaign}/progress")).elapsed_s
-        return times, await compared(api, ids, control=control)
+    conclude_rows(measure_steps(), as_json=as_json)
 
 
 def mumoea(
