@@ -6,7 +6,6 @@ A real coordinator serves an archive of instantaneous simulations to headless Ch
 import asyncio
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any, Final
@@ -32,19 +31,6 @@ POLL_INTERVAL_MS: Final = 10_000
 POLLS_PER_DAY: Final = 24 * 3600 * 1000 // POLL_INTERVAL_MS
 _MAPPED: Final = "canvas.map[data-points]"
 _PROGRESS: Final = "/campaigns/{campaign_id}/progress"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FirstView:
-    """Cost of a first view with an empty cache.
-
-    Attributes:
-        seconds: Time until the campaigns are listed.
-        kilobytes: Amount of data transferred.
-    """
-
-    seconds: float
-    kilobytes: float
 
 
 def measure_dashboard(
@@ -73,7 +59,7 @@ def measure_dashboard(
             poll_ms, poll_bytes = _poll(coordinator, campaign)
             frames, paint_ms, drawn = _drag(browser, coordinator.url, campaign)
             growth = _left_open(browser, coordinator.url, campaign, polls, progress)
-    seconds, kilobytes = median(one.seconds for one in found), median(one.kilobytes for one in found)
+    seconds, kilobytes = (median(values) for values in zip(*found, strict=True))
     painting = f"{drawn:,} points; painting takes {paint_ms:.1f} ms (median)"
     return [
         under("first view, s", seconds, FIRST_VIEW_S, f"median of {views}, empty cache"),
@@ -85,7 +71,8 @@ def measure_dashboard(
     ]
 
 
-def _first_view(browser: Browser, url: str) -> FirstView:
+def _first_view(browser: Browser, url: str) -> tuple[float, float]:
+    """Return the time in s until the campaigns are listed, with an empty cache, and the kB transferred."""
     context = browser.new_context(viewport={"width": 1280, "height": 900})
     page = context.new_page()
     devtools = context.new_cdp_session(page)
@@ -98,7 +85,7 @@ def _first_view(browser: Browser, url: str) -> FirstView:
     seconds = time.perf_counter() - began
     page.wait_for_load_state("networkidle")
     context.close()
-    return FirstView(seconds=seconds, kilobytes=sum(received) / 1000)
+    return seconds, sum(received) / 1000
 
 
 def _poll(coordinator: CoordinatorProcess, campaign: str, times: int = 500) -> tuple[float, float]:

@@ -14,7 +14,7 @@ import httpx
 import numpy as np
 
 from benchmarks.load import MODULE, LoadClient, load_campaign
-from benchmarks.measurement import Progress, children_of, memory_mib, percentile
+from benchmarks.measurement import Progress, Row, children_of, memory_mib, percentile, under, untargeted
 from benchmarks.processes import (
     CoordinatorProcess,
     MeasurementFailed,
@@ -38,47 +38,7 @@ WARM_UP_S = 300.0
 TARGET_MIB_PER_HOUR = 10.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Answers:
-    """Response times of one kind of request.
-
-    Attributes:
-        request: What was requested.
-        first_ms: Time of the first request after the coordinator started.
-        times_ms: Times of all further requests.
-    """
-
-    request: str
-    first_ms: float
-    times_ms: tuple[float, ...]
-
-    @property
-    def p50_ms(self) -> float:
-        """Median."""
-        return percentile(self.times_ms, 50)
-
-    @property
-    def p95_ms(self) -> float:
-        """95th percentile."""
-        return percentile(self.times_ms, 95)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LargeArchive:
-    """Response times, database size and step time with a large archive.
-
-    Attributes:
-        answers: Response times.
-        bytes_a_solution: Size of the database per solution, including its job and result.
-        last_step_s: Time of the last generation step, which adds `GENERATION` solutions.
-    """
-
-    answers: tuple[Answers, ...]
-    bytes_a_solution: float
-    last_step_s: float
-
-
-def measure_archive(progress: Progress, *, solutions: int = 100_000, samples: int = 100) -> LargeArchive:
+def measure_archive(progress: Progress, *, solutions: int = 100_000, samples: int = 100) -> list[Row]:
     """Fill an archive with instantaneous simulations, restart the coordinator and measure response times.
 
     Args:
@@ -97,10 +57,12 @@ def measure_archive(progress: Progress, *, solutions: int = 100_000, samples: in
         coordinator.stop()
         size = sum(file.stat().st_size for file in Path(name).glob("coordinator.db*"))
         coordinator.start_ready()
-        answers = asyncio.run(_response_times(coordinator, campaign, solutions, samples, progress))
-        return LargeArchive(
-            answers=tuple(answers), bytes_a_solution=size / solutions, last_step_s=last_step_s
-        )
+        rows = asyncio.run(_response_times(coordinator, campaign, solutions, samples, progress))
+    return [
+        *rows,
+        untargeted("kB of the database a solution", size / solutions / 1000, "with its job and result"),
+        untargeted("s of the last generation step", last_step_s, f"{GENERATION} new solutions"),
+    ]
 
 
 async def fill_archive(
@@ -136,7 +98,7 @@ async def fill_archive(
 
 async def _response_times(
     coordinator: CoordinatorProcess, campaign: str, solutions: int, samples: int, progress: Progress
-) -> list[Answers]:
+) -> list[Row]:
     requests = {
         "progress": "progress",
         "progress since the last generation": f"progress?since={solutions // GENERATION - 1}",
@@ -160,7 +122,8 @@ async def _response_times(
                 (await api.get(f"/campaigns/{campaign}/{path}")).raise_for_status()
                 times_ms.append(1e3 * (time.perf_counter() - start))
                 await asyncio.sleep(0.05)
-            found.append(Answers(request=name, first_ms=times_ms[0], times_ms=tuple(times_ms[1:])))
+            note = f"first {times_ms[0]:.0f}, median {percentile(times_ms[1:], 50):.0f}"
+            found.append(under(f"p95 ms, {name}", percentile(times_ms[1:], 95), TARGET_MS, note))
         progress("requests", len(requests), len(requests))
     return found
 

@@ -5,9 +5,7 @@ Drives of other seeds are driven with the fitted errors, with the truth, and, un
 detector itself. Recorded drives are kept in a folder and not driven again.
 """
 
-import gzip
-import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.measurement import Progress
-from benchmarks.trials import mapped, run_record
+from benchmarks.trials import mapped, run_record, stored
 from brink.recordings.fit_errors import fit_errors
 from brink.report.errors import Violations
 from brink.search.analysis.intervals import replicated_interval
@@ -70,13 +68,10 @@ class ErrorsBench:
         """Record, fit, drive and count."""
         camera = UrbanCamera(UrbanCameraParams(detector=self.detector))
         folder = self.folder / f"{self.detector}-{RECORDED_SEED}".replace(":", "-").replace("/", "-")
-        folder.mkdir(parents=True, exist_ok=True)
-        tasks = [
-            (spec.to_json(), str(folder / f"{number:05d}.json.gz"))
-            for number, spec in enumerate(random_specs(camera, self.recorded, RECORDED_SEED))
-        ]
-        paths = self._mapped("recorded drives", record_drive, tasks)
-        fitted = fit_errors([read_drive(path) for path in paths], self.detector)
+        specs = random_specs(camera, self.recorded, RECORDED_SEED)
+        tasks = [(spec, folder / f"{number:05d}.json.gz") for number, spec in enumerate(specs)]
+        documents = self._mapped("recorded drives", record_drive, tasks)
+        fitted = fit_errors([meter_of(document) for document in documents], self.detector)
         problem = UrbanFitted(UrbanFittedParams(errors=fitted.to_document()))
         found = [self._violations(problem, self.drives, "fitted errors")]
         if self.camera:
@@ -88,7 +83,7 @@ class ErrorsBench:
 
     def _violations(self, problem: UrbanScenarios, drives: int, name: str) -> Violations:
         specs = random_specs(problem, drives, self.seed)
-        tasks = [(spec.to_json(), problem.requirements) for spec in specs]
+        tasks = [(spec, problem.requirements) for spec in specs]
         unsafe = np.array(self._mapped(f"drives with {name}", is_unsafe, tasks))
         number = [int(str(spec.behaviour.get("replicate", 0))) for spec in specs]
         of = np.bincount(number)
@@ -114,10 +109,9 @@ def random_specs(problem: UrbanScenarios, count: int, seed: int) -> list[Episode
     return [problem.episode(problem.space.sample(rng), episode_seed(seed, number)) for number in range(count)]
 
 
-def is_unsafe(task: tuple[Any, Sequence[str]]) -> bool:
+def is_unsafe(task: tuple[EpisodeSpec, Sequence[str]]) -> bool:
     """Drive an episode and return whether it violates one of some requirements."""
-    spec = EpisodeSpec.from_json(task[0])
-    robustness = run_record(spec).robustness
+    robustness = run_record(task[0]).robustness
     return any(robustness[name] < 0 for name in task[1])
 
 
@@ -129,30 +123,25 @@ class _Recorded(BrinkDriveCamera):
         return self.eyes
 
 
-def record_drive(task: tuple[Any, str]) -> str:
-    """Drive an episode with a camera, unless its file is there, and return the file with what was measured."""
-    path = Path(task[1])
-    if path.exists():
-        return task[1]
-    simulator = _Recorded()
-    simulator.run(EpisodeSpec.from_json(task[0]))
-    meter = simulator.eyes.meter
-    assert meter is not None
-    document = {
-        "samples": [list(sample) for sample in meter.samples],
-        "ghosts": [[time_s, sorted(labels)] for time_s, labels in meter.ghosts],
-    }
-    partial = path.with_suffix(".partial")
-    with gzip.open(partial, "wt", encoding="utf-8") as file:
-        json.dump(document, file)
-    partial.replace(path)
-    return task[1]
+def record_drive(task: tuple[EpisodeSpec, Path]) -> dict[str, Any]:
+    """Drive an episode with a camera, unless its file is there; return what was measured."""
+
+    def driven() -> dict[str, Any]:
+        simulator = _Recorded()
+        simulator.run(task[0])
+        meter = simulator.eyes.meter
+        assert meter is not None
+        return {
+            "samples": [list(sample) for sample in meter.samples],
+            "ghosts": [[time_s, sorted(labels)] for time_s, labels in meter.ghosts],
+        }
+
+    document: dict[str, Any] = stored(task[1], driven)
+    return document
 
 
-def read_drive(path: str) -> ErrorMeter:
-    """Return what was measured in a recorded drive."""
-    with gzip.open(path, "rt", encoding="utf-8") as file:
-        document = json.load(file)
+def meter_of(document: Mapping[str, Any]) -> ErrorMeter:
+    """Return the meter of a recorded drive."""
     meter = ErrorMeter(Camera())
     for time_s, track, kind, is_target, is_visible, label, *rest in document["samples"]:
         meter.samples.append(

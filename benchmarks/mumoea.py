@@ -6,18 +6,14 @@ trained model is part of this comparison (`benchmarks.stand_in`). Source of the 
 and Fig. 2b; types that reference drivers avoid are Brink's.
 """
 
-import gzip
 import hashlib
 import itertools
-import json
 import math
 import re
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,7 +21,7 @@ import numpy as np
 
 from benchmarks.measurement import Progress, Row, at_least
 from benchmarks.stand_in import StandInSeeds, serving
-from benchmarks.trials import code_fingerprint
+from benchmarks.trials import cached_simulator, code_fingerprint, mapped, stored
 from brink.report.text import p_text
 from brink.search.algorithm import AnyAlgorithm, Candidate, Evaluation, Failed, Origin, Seeded, ask_all
 from brink.search.algorithms.multi_objective import Child
@@ -42,10 +38,8 @@ from brink.search.traffic.participants import MAX_PARTICIPANTS
 from brink.search.traffic.variation import TrafficGenome
 from brink.server.csv_text import csv_text
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
-from brink.sim.catalogue import Simulator, make_simulator
 from brink.sim.errors import SimulatorError
 from brink.worker.child_protocol import completed_document
-from brink.worker.pool import process_pool, single_threaded
 from brink.worker.wire import Completed
 
 if TYPE_CHECKING:
@@ -240,17 +234,8 @@ class Task:
 
 def run_or_read(task: Task) -> SearchRun:
     """Return the result of a search, from its file if the search has run before."""
-    if task.file.exists():
-        with gzip.open(task.file, "rt", encoding="utf-8") as file:
-            document = json.load(file)
-        return SearchRun(**{**document, "found": [Found(**found) for found in document["found"]]})
-    run = run_search(task)
-    task.folder.mkdir(parents=True, exist_ok=True)
-    part = task.file.with_suffix(".part")
-    with gzip.open(part, "wt", encoding="utf-8") as file:
-        json.dump(asdict(run), file)
-    part.replace(task.file)
-    return run
+    document = stored(task.file, lambda: asdict(run_search(task)))
+    return SearchRun(**{**document, "found": [Found(**found) for found in document["found"]]})
 
 
 def run_search(task: Task) -> SearchRun:
@@ -305,11 +290,6 @@ def _problem(task: Task) -> NpcActions:
     return NpcActions(replace(task.params, count="avoidable") if task.method in AVOIDABLE else task.params)
 
 
-@cache
-def _simulator(simulator_id: str) -> Simulator:
-    return make_simulator(simulator_id)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Simulated:
     """A simulated candidate.
@@ -332,7 +312,7 @@ def _simulate(
     spec = problem.episode(candidate.vectors, episode_seed(seed, candidate.number))
     before_s = time.process_time()
     try:
-        result = _simulator(spec.simulator).run(spec)
+        result = cached_simulator(spec.simulator).run(spec)
     except SimulatorError as error:
         return _Simulated(evaluation=Failed(reason=str(error)))
     after_s = time.process_time()
@@ -541,13 +521,9 @@ class Comparison:
         ]
 
     def _run(self) -> list[SearchRun]:
-        done: dict[str, SearchRun] = {}
-        with single_threaded(), process_pool(self._processes) as pool:
-            waiting = {pool.submit(run_or_read, task): task for task in self._tasks}
-            for future in as_completed(waiting):
-                done[str(waiting[future].file)] = future.result()
-                self._progress("searches", len(done), len(self._tasks))
-        return [done[str(task.file)] for task in self._tasks]
+        return mapped(
+            run_or_read, self._tasks, processes=self._processes, part="searches", progress=self._progress
+        )
 
     def _write_runs(self, runs: Sequence[SearchRun]) -> None:
         names = [field.name for field in fields(Measures)]

@@ -21,7 +21,7 @@ from typing import Any
 import httpx
 
 from benchmarks.load import MODULE, LoadClient, load_campaign
-from benchmarks.measurement import Progress, counted, cpu_seconds
+from benchmarks.measurement import Progress, Row, counted, cpu_seconds, untargeted
 from benchmarks.processes import CoordinatorProcess, plugin_environment, running_coordinator
 from brink.search import surrogate
 from brink.server.runtime.coordinator import allow_many_open_files
@@ -319,43 +319,20 @@ class _SimulatedWorkers:
         return False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TurnLengths:
-    """Modelled utilisation of `TARGET_WORKERS` workers for two lengths of a campaign's turn (ADR 32).
-
-    Attributes:
-        generation: Jobs per generation of each campaign.
-        campaigns: Number of concurrent campaigns.
-        generations: Generations after which the model stops.
-        single: Utilisation if campaigns take turns job by job.
-        four_per_worker: Utilisation if a turn lasts four jobs per worker.
-    """
-
-    generation: int
-    campaigns: int
-    generations: int
-    single: float
-    four_per_worker: float
-
-
-def model_turns(seeds: int = 20) -> list[TurnLengths]:
-    """Model the scheduling without a coordinator: workers lose time only while they wait for generations to end.
+def model_turns(seeds: int = 20) -> Iterator[Row]:
+    """Model `TARGET_WORKERS` workers without a coordinator: they lose time only while generations end (ADR 32).
 
     Args:
         seeds: Number of runs whose mean is taken.
     """
-    return [
-        TurnLengths(
-            generation=generation,
-            campaigns=campaigns,
-            generations=generations,
-            single=_mean_utilisation(generation, campaigns, 1, generations, seeds),
-            four_per_worker=_mean_utilisation(generation, campaigns, 4 * TARGET_WORKERS, generations, seeds),
-        )
-        for generation in GENERATIONS
-        for campaigns in (1, 2, 4)
-        for generations in (4, 32)
-    ]
+    for generation, campaigns, generations in itertools.product(GENERATIONS, (1, 2, 4), (4, 32)):
+        turns = {"job by job": 1, "four jobs per worker": 4 * TARGET_WORKERS}
+        for name, turn in turns.items():
+            yield untargeted(
+                f"used, {campaigns} campaigns, generations of {generation}, turns of {name}",
+                _mean_utilisation(generation, campaigns, turn, generations, seeds),
+                f"{TARGET_WORKERS} workers, {generations} generations",
+            )
 
 
 def _mean_utilisation(generation: int, campaigns: int, turn: int, generations: int, seeds: int) -> float:
@@ -400,45 +377,24 @@ def _utilisation(generation: int, campaigns: int, turn: int, generations: int, r
     return (busy + sum(now - began for _, began, _ in running)) / (TARGET_WORKERS * now)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CandidatesInFlight:
-    """Modelled utilisation by one campaign, depending on how many of its candidates are in flight.
-
-    Attributes:
-        workers: Number of workers.
-        a_worker: Candidates in flight for each worker.
-        generations: Generations that these candidates make up.
-        share: Utilisation.
-    """
-
-    workers: int
-    a_worker: int
-    generations: int
-    share: float
-
-
-def model_in_flight(seeds: int = 5) -> list[CandidatesInFlight]:
-    """Model how the utilisation depends on the candidates in flight, without a coordinator.
+def model_in_flight(seeds: int = 5) -> Iterator[Row]:
+    """Model how the utilisation by one campaign depends on its candidates in flight, without a coordinator.
 
     Args:
         seeds: Number of runs whose mean is taken.
     """
-    return [
-        CandidatesInFlight(
-            workers=workers,
-            a_worker=a_worker,
-            generations=generations,
-            share=statistics.mean(
-                _overlapping_utilisation(
-                    workers, a_worker * workers // generations, generations, random.Random(seed)
-                )
-                for seed in range(seeds)
-            ),
+    for workers, a_worker, generations in itertools.product(
+        (TARGET_WORKERS, 1000), (1, 2, 4, 8), (1, 2, IN_FLIGHT)
+    ):
+        size = a_worker * workers // generations
+        shares = [
+            _overlapping_utilisation(workers, size, generations, random.Random(seed)) for seed in range(seeds)
+        ]
+        yield untargeted(
+            f"used, {workers} workers, {a_worker * workers} candidates in flight",
+            statistics.mean(shares),
+            f"in {generations} generations",
         )
-        for workers in (TARGET_WORKERS, 1000)
-        for a_worker in (1, 2, 4, 8)
-        for generations in (1, 2, IN_FLIGHT)
-    ]
 
 
 def _overlapping_utilisation(workers: int, size: int, in_flight: int, rng: random.Random) -> float:

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from benchmarks.load import LOAD, REQUIREMENT
-from brink.search.algorithm import Candidate, Evaluation, Scored
+from benchmarks.load import Load, LoadParams
+from brink.search.algorithm import Candidate, Evaluation
 from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig, RandomSearchState
 from brink.search.settings import check_settings, setting
-from brink.search.space import Component, Real, SearchSpace
-from brink.server.problems.base import SimulatedProblem, Vectors
+from brink.server.problems.base import Vectors
 from brink.server.problems.catalogue import ALGORITHMS, PROBLEMS
 from brink.sim.catalogue import register
 from brink.sim.episode import EpisodeSpec
@@ -75,7 +74,7 @@ class StallParams:
         check_settings(self)
 
 
-class StallingProblem(SimulatedProblem):
+class StallingProblem(Load):
     """The unit disc, as in ``load@1``."""
 
     id: ClassVar[str] = PROBLEM
@@ -85,33 +84,17 @@ class StallingProblem(SimulatedProblem):
     def __init__(self, params: StallParams) -> None:
         self.stall = Stall(place=params.place, fault=params.fault, armed=params.armed)
         self.stall.at("construction")
-        self.space = SearchSpace(
-            (
-                Component("scenario", (Real("x", -2.0, 2.0, "m"),)),
-                Component("behaviour", (Real("y", -2.0, 2.0, "m"),)),
-            )
-        )
-        self.algorithm_defaults = {"radius": 0.2}
-        self.needs = LOAD
-        self.timeout_s = 300.0
+        super().__init__(LoadParams())
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a candidate."""
         self.stall.at("episode")
-        return EpisodeSpec(
-            simulator=LOAD,
-            scenario={"x": float(vectors[0][0]), "wait_s": 0.0},
-            behaviour={"y": float(vectors[1][0])},
-            requirements=(REQUIREMENT,),
-            seed=seed,
-            duration_s=1.0,
-        )
+        return super().episode(vectors, seed)
 
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return the evaluation of an episode's outcome."""
         self.stall.at("evaluation")
-        robustness = outcome.verdicts[REQUIREMENT].robustness
-        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
+        return super().evaluation(outcome)
 
     def words(self, vectors: Vectors) -> str:
         """Describe a candidate."""

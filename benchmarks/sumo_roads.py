@@ -35,32 +35,32 @@ _HEADER: Final = re.compile(rb"<!--.*?-->\s*", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Node:
-    """A junction or an end of a road.
+class Plan:
+    """Nodes, edges and connections of a network, in SUMO's format."""
 
-    Attributes:
-        name: Its id.
-        x_m: Where it is.
-        y_m: Where it is.
-        kind: Its type in SUMO, such as ``traffic_light``.
-    """
-
-    name: str
-    x_m: float
-    y_m: float
-    kind: str = "priority"
-
-    @property
-    def xml(self) -> str:
-        """The node in SUMO's format."""
-        return f'<node id="{self.name}" x="{self.x_m:.2f}" y="{self.y_m:.2f}" type="{self.kind}"/>'
+    nodes: tuple[str, ...]
+    edges: tuple[str, ...]
+    connections: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Edge:
-    """A road in one direction.
+def node(*, name: str, x_m: float, y_m: float, kind: str = "priority") -> str:
+    """Return a junction or an end of a road; its kind is one of SUMO's types, such as ``traffic_light``."""
+    return f'<node id="{name}" x="{x_m:.2f}" y="{y_m:.2f}" type="{kind}"/>'
 
-    Attributes:
+
+def edge(
+    *,
+    name: str,
+    begin: str,
+    end: str,
+    lanes: int,
+    speed_mps: float,
+    priority: int = 1,
+    shape: Sequence[tuple[float, float]] = (),
+) -> str:
+    """Return a road in one direction.
+
+    Args:
         name: Its id.
         begin: The node where it begins.
         end: The node where it ends.
@@ -69,49 +69,28 @@ class Edge:
         priority: A larger one has the right of way.
         shape: Points of its axis from `begin` to `end`, both included; a straight line if empty.
     """
-
-    name: str
-    begin: str
-    end: str
-    lanes: int
-    speed_mps: float
-    priority: int = 1
-    shape: tuple[tuple[float, float], ...] = ()
-
-    @property
-    def xml(self) -> str:
-        """The edge in SUMO's format."""
-        points = " ".join(f"{x:.2f},{y:.2f}" for x, y in self.shape)
-        shape = f' shape="{points}"' if points else ""
-        return (
-            f'<edge id="{self.name}" from="{self.begin}" to="{self.end}" numLanes="{self.lanes}" '
-            f'speed="{self.speed_mps:.2f}" priority="{self.priority}"{shape}/>'
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
-    """Nodes, edges and connections of a network; `connections` is in SUMO's format."""
-
-    nodes: tuple[Node, ...]
-    edges: tuple[Edge, ...]
-    connections: tuple[str, ...] = ()
+    points = " ".join(f"{x:.2f},{y:.2f}" for x, y in shape)
+    bent = f' shape="{points}"' if points else ""
+    return (
+        f'<edge id="{name}" from="{begin}" to="{end}" numLanes="{lanes}" '
+        f'speed="{speed_mps:.2f}" priority="{priority}"{bent}/>'
+    )
 
 
 def motorway() -> Plan:
     """Return three lanes of a motorway with a slip road, which joins by an acceleration lane of 300 m."""
     nodes = (
-        Node(name="south", x_m=0.0, y_m=0.0),
-        Node(name="joins", x_m=1500.0, y_m=0.0),
-        Node(name="joined", x_m=1800.0, y_m=0.0, kind="zipper"),
-        Node(name="north", x_m=4200.0, y_m=0.0),
-        Node(name="slip", x_m=1100.0, y_m=-70.0),
+        node(name="south", x_m=0.0, y_m=0.0),
+        node(name="joins", x_m=1500.0, y_m=0.0),
+        node(name="joined", x_m=1800.0, y_m=0.0, kind="zipper"),
+        node(name="north", x_m=4200.0, y_m=0.0),
+        node(name="slip", x_m=1100.0, y_m=-70.0),
     )
     edges = (
-        Edge(name="before", begin="south", end="joins", lanes=3, speed_mps=33.33, priority=3),
-        Edge(name="merge", begin="joins", end="joined", lanes=4, speed_mps=33.33, priority=3),
-        Edge(name="after", begin="joined", end="north", lanes=3, speed_mps=33.33, priority=3),
-        Edge(
+        edge(name="before", begin="south", end="joins", lanes=3, speed_mps=33.33, priority=3),
+        edge(name="merge", begin="joins", end="joined", lanes=4, speed_mps=33.33, priority=3),
+        edge(name="after", begin="joined", end="north", lanes=3, speed_mps=33.33, priority=3),
+        edge(
             name="ramp", begin="slip", end="joins", lanes=1, speed_mps=22.22, priority=2,
             shape=((1100.0, -70.0), (1300.0, -45.0), (1420.0, -24.0), (1500.0, -14.0)),
         ),
@@ -127,14 +106,14 @@ def motorway() -> Plan:
 def arterial() -> Plan:
     """Return a road of two lanes each way with six signalled crossroads, 280 m apart."""
     spacing_m, reach_m, crossroads = 280.0, 200.0, 6
-    nodes = [Node(name="a0", x_m=0.0, y_m=0.0), Node(name="a7", x_m=(crossroads + 1) * spacing_m, y_m=0.0)]
-    edges: list[Edge] = []
+    nodes = [node(name="a0", x_m=0.0, y_m=0.0), node(name="a7", x_m=(crossroads + 1) * spacing_m, y_m=0.0)]
+    edges: list[str] = []
     for index in range(1, crossroads + 1):
         x_m = index * spacing_m
         nodes += [
-            Node(name=f"a{index}", x_m=x_m, y_m=0.0, kind="traffic_light"),
-            Node(name=f"n{index}", x_m=x_m, y_m=reach_m),
-            Node(name=f"s{index}", x_m=x_m, y_m=-reach_m),
+            node(name=f"a{index}", x_m=x_m, y_m=0.0, kind="traffic_light"),
+            node(name=f"n{index}", x_m=x_m, y_m=reach_m),
+            node(name=f"s{index}", x_m=x_m, y_m=-reach_m),
         ]
         for side in ("n", "s"):
             edges += _both_ways(f"{side}{index}", f"a{index}", lanes=1, speed_mps=13.89, priority=1)
@@ -147,13 +126,13 @@ def grid() -> Plan:
     """Return five by five signalled crossroads, 140 m apart, with roads of one lane each way."""
     size, spacing_m = 5, 140.0
     nodes = []
-    edges: list[Edge] = []
+    edges: list[str] = []
     for row in range(-1, size + 1):
         for column in range(-1, size + 1):
             inside = (0 <= row < size) + (0 <= column < size)
             if inside:
                 nodes.append(
-                    Node(
+                    node(
                         name=_crossroad(column, row),
                         x_m=column * spacing_m,
                         y_m=row * spacing_m,
@@ -176,12 +155,12 @@ def ring() -> Plan:
     edges = []
     for quarter in range(quarters):
         x_m, y_m = _on_circle(radius_m, quarter / quarters)
-        nodes.append(Node(name=f"r{quarter}", x_m=x_m, y_m=y_m))
+        nodes.append(node(name=f"r{quarter}", x_m=x_m, y_m=y_m))
         shape = tuple(
             _on_circle(radius_m, (quarter + step / points) / quarters) for step in range(points + 1)
         )
         edges.append(
-            Edge(
+            edge(
                 name=f"q{quarter}",
                 begin=f"r{quarter}",
                 end=f"r{(quarter + 1) % quarters}",
@@ -209,8 +188,8 @@ def build(name: str, netconvert: str) -> bytes:
     plan = PLANS[name]()
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        _write(place / "a.nod.xml", "nodes", (node.xml for node in plan.nodes))
-        _write(place / "a.edg.xml", "edges", (edge.xml for edge in plan.edges))
+        _write(place / "a.nod.xml", "nodes", plan.nodes)
+        _write(place / "a.edg.xml", "edges", plan.edges)
         _write(place / "a.con.xml", "connections", plan.connections)
         files = ("-n", "a.nod.xml", "-e", "a.edg.xml", "-x", "a.con.xml", "-o", "a.net.xml")
         subprocess.run([netconvert, *files, *_OPTIONS], cwd=place, check=True, stdout=subprocess.DEVNULL)
@@ -229,14 +208,14 @@ def _on_circle(radius_m: float, turn: float) -> tuple[float, float]:
     return radius_m * math.cos(2 * math.pi * turn), radius_m * math.sin(2 * math.pi * turn)
 
 
-def _both_ways(one: str, other: str, *, lanes: int, speed_mps: float, priority: int) -> Iterator[Edge]:
+def _both_ways(one: str, other: str, *, lanes: int, speed_mps: float, priority: int) -> Iterator[str]:
     for begin, end in ((one, other), (other, one)):
-        yield Edge(
+        yield edge(
             name=f"{begin}_{end}", begin=begin, end=end, lanes=lanes, speed_mps=speed_mps, priority=priority
         )
 
 
-def _write(path: Path, root: str, items: "Iterator[str] | Sequence[str]") -> None:
+def _write(path: Path, root: str, items: Sequence[str]) -> None:
     path.write_text(f"<{root}>\n" + "\n".join(items) + f"\n</{root}>\n", encoding="utf-8")
 
 

@@ -1,6 +1,7 @@
 """Running episodes in a process pool without a coordinator, and storing outcomes so that none is computed twice."""
 
 import contextlib
+import gzip
 import hashlib
 import json
 import subprocess
@@ -11,7 +12,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from benchmarks.lifeline import start_tied
 from benchmarks.measurement import Progress, memory_mib, silent
@@ -48,7 +49,8 @@ class Record:
 
 
 @cache
-def _simulator(simulator_id: str) -> Simulator:
+def cached_simulator(simulator_id: str) -> Simulator:
+    """Return a simulator, the same one in each call."""
     return make_simulator(simulator_id)
 
 
@@ -113,7 +115,7 @@ def _memory_after(specs: Iterable[EpisodeSpec], settle: int) -> tuple[float, flo
 def run_record(spec: EpisodeSpec) -> Record:
     """Run one episode or data-set evaluation in this process."""
     cpu_s, wall_s = time.process_time(), time.perf_counter()
-    result = _simulator(spec.simulator).run(spec)
+    result = cached_simulator(spec.simulator).run(spec)
     return Record(
         robustness={name: verdict.robustness for name, verdict in result.verdicts.items()},
         objectives=dict(result.objectives),
@@ -121,6 +123,18 @@ def run_record(spec: EpisodeSpec) -> Record:
         cpu_s=time.process_time() - cpu_s,
         wall_s=time.perf_counter() - wall_s,
     )
+
+
+def stored(file: Path, compute: Callable[[], Any]) -> Any:
+    """Return a JSON document from a compressed file, or compute it and store it there."""
+    if not file.exists():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        partial = file.with_suffix(".partial")
+        with gzip.open(partial, "wt", encoding="utf-8") as out:
+            json.dump(compute(), out)
+        partial.replace(file)
+    with gzip.open(file, "rt", encoding="utf-8") as source:
+        return json.load(source)
 
 
 def code_fingerprint(packages: Sequence[str]) -> str:

@@ -315,34 +315,14 @@ def turns(
 ) -> None:
     """Model how the utilisation of workers depends on turns and on candidates in flight, without a coordinator.
 
-    The first table has 64 workers and campaigns with one generation in flight, which take turns; the second has one
-    campaign, with candidates in flight that make up one or several generations.
+    First, campaigns with one generation in flight take turns; then, one campaign has candidates in flight that make
+    up one or several generations.
 
     Example: python -m benchmarks turns
     """
     from benchmarks.scale import model_in_flight, model_turns
 
-    found = model_turns(seeds)
-    in_flight = model_in_flight(max(1, seeds // 4))
-    table = value_table(
-        ("generation", "campaigns", "generations", "job by job", "four jobs per worker"),
-        (
-            (
-                one.generation,
-                one.campaigns,
-                one.generations,
-                f"{one.single:.1%}",
-                f"{one.four_per_worker:.1%}",
-            )
-            for one in found
-        ),
-    )
-    flights = value_table(
-        ("workers", "candidates in flight", "in generations", "used"),
-        ((one.workers, one.a_worker * one.workers, one.generations, f"{one.share:.1%}") for one in in_flight),
-    )
-    document = {"turns": [fields(one) for one in found], "in_flight": [fields(one) for one in in_flight]}
-    conclude(document, table, "", flights, as_json=as_json)
+    conclude_rows([*model_turns(seeds), *model_in_flight(max(1, seeds // 4))], as_json=as_json)
 
 
 def archive(
@@ -356,34 +336,11 @@ def archive(
 
     Example: python -m benchmarks archive --solutions 20000
     """
-    from benchmarks.endurance import GENERATION, TARGET_MS, measure_archive
+    from benchmarks.endurance import measure_archive
 
     with show_progress() as progress:
-        found = measure_archive(progress, solutions=solutions, samples=samples)
-    document = {
-        "answers": [fields(one, "request", "first_ms", "p50_ms", "p95_ms") for one in found.answers],
-        "bytes_a_solution": found.bytes_a_solution,
-        "last_step_s": found.last_step_s,
-    }
-    target = f"p95 under {TARGET_MS:g}"
-    table = value_table(
-        ("request", "first ms", "p50 ms", "p95 ms", "target", ""),
-        (
-            (
-                one.request,
-                f"{one.first_ms:.0f}",
-                f"{one.p50_ms:.0f}",
-                f"{one.p95_ms:.0f}",
-                target,
-                met_text(one.p95_ms < TARGET_MS),
-            )
-            for one in found.answers
-        ),
-    )
-    size = f"database: {found.bytes_a_solution / 1000:.1f} kB per solution, with its job and result"
-    step = f"last generation step, {GENERATION} new solutions: {found.last_step_s:.2f} s"
-    missed = any(one.p95_ms >= TARGET_MS for one in found.answers)
-    conclude(document, table, size, step, as_json=as_json, missed=missed)
+        rows = measure_archive(progress, solutions=solutions, samples=samples)
+    conclude_rows(rows, as_json=as_json)
 
 
 def soak(

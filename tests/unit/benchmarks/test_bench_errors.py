@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.errors import is_unsafe, random_specs, read_drive, record_drive
+from benchmarks.errors import is_unsafe, meter_of, random_specs, record_drive
 from brink.search.streams import episode_seed
 from brink.server.problems.urban_camera import UrbanCamera, UrbanCameraParams
 from brink.server.problems.urban_fitted import UrbanFitted, UrbanFittedParams
@@ -27,16 +27,16 @@ def test_a_recorded_drive_is_read_as_it_was_and_not_driven_again(
         return features(self, outcome)  # type: ignore[arg-type]
 
     monkeypatch.setattr(InTheLoop, "features", kept)
-    file = str(tmp_path / "drive.json.gz")
-    assert record_drive((spec.to_json(), file)) == file
-    read = read_drive(file)
+    file = tmp_path / "drive.json.gz"
+    document = record_drive((spec, file))
+    read = meter_of(document)
     (meter,) = meters
     assert len(read.ghosts) == 20
     assert read.ghosts == meter.ghosts
     assert measures_to_json(read) == measures_to_json(meter)
     assert [str(sample) for sample in read.samples] == [str(sample) for sample in meter.samples]  # NaN too
     monkeypatch.setattr(BrinkDriveCamera, "run", None)
-    assert record_drive((spec.to_json(), file)) == file
+    assert str(record_drive((spec, file))) == str(document)
 
 
 def test_drives_of_a_seed_have_the_same_scenarios_whatever_drives_them() -> None:
@@ -45,4 +45,4 @@ def test_drives_of_a_seed_have_the_same_scenarios_whatever_drives_them() -> None
     fitted = random_specs(problem, 3, 6)
     assert [spec.scenario for spec in camera] == [spec.scenario for spec in fitted]
     assert [spec.seed for spec in fitted] == [episode_seed(6, number) for number in range(3)]
-    assert is_unsafe((fitted[0].to_json(), problem.requirements)) is False
+    assert is_unsafe((fitted[0], problem.requirements)) is False
