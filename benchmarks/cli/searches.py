@@ -1,4 +1,4 @@
-"""`python -m benchmarks search | paper | mumoea`: the cost of a search, and what its methods find."""
+"""`python -m benchmarks search | mumoea`: the cost of a search, and what its methods find."""
 
 from pathlib import Path
 from typing import Annotated
