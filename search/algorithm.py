@@ -156,6 +156,8 @@ class Algorithm(Protocol[C, S]):
         config_type: Frozen dataclass whose fields are declared with `brink.search.settings.setting`.
         finds: Optional. The kinds of findings that it finds, what it is for first, such as ``("pairs",)``; by
             default, ``("boundary",)``.
+        suggested: Optional. Place among the algorithms that a new campaign may begin with, the lowest first.
+        former: Optional. For settings that were added later, what their value was before, by name.
         is_baseline: Optional. Whether it draws solutions at random, without a search.
         internal: Optional. Whether only Brink itself starts campaigns with it.
     """

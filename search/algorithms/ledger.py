@@ -12,6 +12,7 @@ has simulated. `Ledger.evidence` is both together.
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import fmean
+from types import MappingProxyType
 from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
 import numpy as np
@@ -522,6 +523,8 @@ class LedgerAlgorithm(Generic[C, S]):
         summary: One line for catalogues.
         config_type: Type of the settings.
         finds: Kinds of findings, what it is for first.
+        suggested: Place among the algorithms that a new campaign may begin with, the lowest first; None for no place.
+        former: For settings that were added later, what their value was before, by name.
         is_baseline: Whether it draws solutions at random, without a search.
         internal: Whether only Brink itself starts campaigns with it.
         layout: Version of stored states: of their layout, and of how the search continues from them.
@@ -531,6 +534,8 @@ class LedgerAlgorithm(Generic[C, S]):
     summary: str
     config_type: type[C]
     finds: tuple[str, ...] = UNDECLARED
+    suggested: int | None = None
+    former: Mapping[str, Any] = MappingProxyType({})
     is_baseline: bool = False
     internal: bool = False
     layout: int = 1

@@ -134,6 +134,7 @@ class Mlcshe(WarmLedgerAlgorithm[MlcsheConfig, MlcsheState]):
     """Cooperative co-evolutionary search for the hazard boundary."""
 
     id = "mlcshe@1"
+    suggested = 2
     summary = "Cooperative co-evolution of scenarios and behaviours, towards the hazard boundary."
     config_type = MlcsheConfig
 

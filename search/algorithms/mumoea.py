@@ -16,6 +16,7 @@ Srinivas and Patnaik, "Adaptive probabilities of crossover and mutation in genet
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
+from types import MappingProxyType
 from typing import Any, Final, assert_never
 
 import numpy as np
@@ -257,6 +258,8 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
     """muMOEA, the adaptive multi-objective search with seeds."""
 
     id = "mumoea@1"
+    suggested = 4
+    former = MappingProxyType({"distance": "paper"})
     finds = ("violations",)
     summary = "muMOEA: adaptive multi-objective search, seeded by patterns or a language model."
     config_type: type[Any] = MumoeaConfig

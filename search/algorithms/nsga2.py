@@ -9,6 +9,7 @@ Multi-objective Genetic Algorithm", ESEC/FSE 2022.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -65,6 +66,7 @@ class Nsga2(LedgerAlgorithm[Nsga2Config, MultiObjectiveState]):
     """NSGA-II with fixed crossover and mutation rates."""
 
     id = "nsga2@1"
+    former = MappingProxyType({"distance": "paper"})
     finds = ("violations",)
     summary = "NSGA-II: critical and diverse scenarios of scripted traffic, with fixed rates."
     config_type: type[Any] = Nsga2Config

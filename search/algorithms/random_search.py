@@ -38,6 +38,7 @@ class RandomSearch(WarmLedgerAlgorithm[RandomSearchConfig, RandomSearchState]):
     """Random draws from the space, with duplicates rejected."""
 
     id = "random@1"
+    suggested = 3
     is_baseline = True
     summary = "Random search: independent draws from the space."
     config_type = RandomSearchConfig

@@ -21,6 +21,7 @@ from brink.server.api.schemas import AlgorithmView, ProblemView
 from brink.server.db.engine import read
 from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import DatabaseError
+from brink.server.findings.kind import reported_by
 from brink.server.problems.catalogue import describe_algorithms, describe_problems
 from brink.server.states import Scope
 from brink.server.user_code import USER_CODE
@@ -92,7 +93,7 @@ async def get_access(request: Request) -> AccessView:
 @router.get("/problems", tags=["catalogue"])
 def get_problems() -> list[ProblemView]:
     """List the problems with the JSON schemas of their parameters."""
-    return [ProblemView.model_validate(item) for item in describe_problems()]
+    return [ProblemView.model_validate(item) for item in describe_problems(reported_by)]
 
 
 @router.get("/algorithms", tags=["catalogue"])

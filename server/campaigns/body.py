@@ -37,11 +37,6 @@ DEFAULT_MAX_LOSSES = 10
 """Default of how often a job may lose its worker: generous, because machines are preempted more often than they are
 killed by what they run."""
 
-_FORMER_DEFAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
-    algorithm: {"distance": "paper"} for algorithm in ("mosat@1", "mumoea@1", "nsga2@1")
-}
-"""For each algorithm, what its later parameters were when they were not parameters yet."""
-
 MOST_TAGS: Final = 32
 LONGEST_TAG: Final = 40
 LONGEST_NOTES: Final = 10_000
@@ -334,28 +329,6 @@ def parse_body(document: object) -> CampaignBody:
         InvalidInput: With a pointer to each invalid field.
     """
     return parse_document(document, CampaignBody, "a campaign with name, problem, algorithm and budget")
-
-
-def stored_body(document: Mapping[str, Any], tags: Iterable[str], notes: str) -> CampaignBody:
-    """Return the body of a stored campaign.
-
-    Every parameter is spelled out in a stored body. One that is missing was added later, and has the value that the
-    campaign was run with, which need not be today's default.
-
-    Args:
-        document: What `CampaignBody.document` returned.
-        tags: Its tags.
-        notes: Its notes.
-
-    Raises:
-        ValidationError: The document is not that of a campaign.
-    """
-    body = CampaignBody.model_validate({**document, "tags": list(tags), "notes": notes})
-    former = _FORMER_DEFAULTS.get(body.algorithm.id)
-    if former is None:
-        return body
-    algorithm = body.algorithm.model_copy(update={"params": {**former, **body.algorithm.params}})
-    return body.model_copy(update={"algorithm": algorithm})
 
 
 def read_campaign_file(path: Path) -> CampaignBody:

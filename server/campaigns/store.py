@@ -4,17 +4,18 @@ Functions that write are units for `brink.server.db.writer.Writer`; functions th
 reader, which sees one snapshot.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, delete, insert, select, update
 
-from brink.server.campaigns.body import CampaignBody, CampaignChange, search_text, search_words, stored_body
+from brink.server.campaigns.body import CampaignBody, CampaignChange, search_text, search_words
 from brink.server.db.models import NEXT_SEQUENCE, CampaignRow, CampaignTagRow, SolutionRow
 from brink.server.db.sql import DocumentTable, database_now, in_list, note_change
 from brink.server.errors import Conflict, NotFound
+from brink.server.problems.catalogue import former_settings
 from brink.server.queue import job_store
 from brink.server.queue.job_store import JobSettings
 from brink.server.queue.wakeups import notify_coordinators
@@ -90,6 +91,25 @@ def read_tags(connection: Connection, campaigns: Sequence[str]) -> dict[str, lis
         for campaign, tag in connection.execute(_TAGS, {"campaigns": list(tags)}):
             tags[campaign].append(tag)
     return {campaign: sorted(found) for campaign, found in tags.items()}
+
+
+def stored_body(document: Mapping[str, Any], tags: Iterable[str], notes: str) -> CampaignBody:
+    """Return the body of a stored campaign.
+
+    Every parameter is spelled out in a stored body. One that is missing was added later, and has the value that the
+    campaign was run with, which need not be today's default.
+
+    Args:
+        document: What `CampaignBody.document` returned.
+        tags: Its tags.
+        notes: Its notes.
+
+    Raises:
+        ValidationError: The document is not that of a campaign.
+    """
+    body = CampaignBody.model_validate({**document, "tags": list(tags), "notes": notes})
+    params = {**former_settings(body.algorithm.id), **body.algorithm.params}
+    return body.model_copy(update={"algorithm": body.algorithm.model_copy(update={"params": params})})
 
 
 def _campaign(row: Row[*tuple[Any, ...]], tags: list[str]) -> Campaign:

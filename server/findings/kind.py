@@ -196,6 +196,11 @@ def asked(kind: Kind, question: Callable[[], T], otherwise: T) -> T:
         return otherwise
 
 
+def reported_by(problem: Problem) -> list[str]:
+    """Return the kinds of findings that every campaign on a problem has."""
+    return [kind.id for kind in all_kinds() if asked(kind, partial(kind.is_reported_by, problem), False)]
+
+
 async def find_safely(kind: Kind, subject: Subject) -> Finding:
     """Return what a campaign found; that it cannot be told, if the kind is a plug-in's and fails."""
     if not is_guarded(kind):

@@ -35,11 +35,11 @@ from sqlalchemy.exc import DataError, IntegrityError
 
 from brink import __version__
 from brink.search.errors import ConfigError
-from brink.server.campaigns.body import DEFAULT_MAX_LOSSES, MOST_TAGS, search_text, stored_body
+from brink.server.campaigns.body import DEFAULT_MAX_LOSSES, MOST_TAGS, search_text
 from brink.server.campaigns.plan import Plan, make_plan, restored_archive
 from brink.server.campaigns.repeats import is_follow_up
 from brink.server.campaigns.step_store import read_archive
-from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign, stored_body
 from brink.server.db.models import (
     Base,
     CampaignRow,

@@ -6,7 +6,7 @@ search space (`brink.search.odd`) and which the problem itself does not see.
 """
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, Field, asdict, fields
 from functools import lru_cache, partial
 from importlib.util import find_spec
@@ -19,11 +19,10 @@ from brink.extras import install_command
 from brink.search.algorithm import AnyAlgorithm, declared_finds
 from brink.search.errors import ConfigError, OddError, UnsupportedSpace
 from brink.search.odd import limited, odd_of
-from brink.search.slots import slots_of
 from brink.search.space import SearchSpace
 from brink.server.documents import invalid_input
 from brink.server.errors import FieldError, InvalidInput, nearest
-from brink.server.problems.base import InProcessProblem, Problem, ReportsViolations, SimulatedProblem
+from brink.server.problems.base import InProcessProblem, Problem, SimulatedProblem
 from brink.server.problems.requirements import ANY
 from brink.server.user_code import CONSTRUCTION, IMPORT, USER_CODE, guarded
 from brink.sim.catalogue import (
@@ -170,6 +169,14 @@ def _made_algorithm(algorithm_id: str, factory: Callable[[], AnyAlgorithm]) -> A
     return USER_CODE.call(algorithm_id, CONSTRUCTION, lambda: guarded(algorithm_id, factory()))
 
 
+def former_settings(algorithm_id: str) -> Mapping[str, Any]:
+    """Return what settings of an algorithm were before there were such settings; empty for one of a plug-in."""
+    if algorithm_id not in plugin_ids(ALGORITHMS) or not is_own_plugin(ALGORITHMS, algorithm_id):
+        return {}
+    former: Mapping[str, Any] = getattr(make_algorithm(algorithm_id), "former", {})
+    return former
+
+
 def is_baseline(algorithm_id: str) -> bool:
     """Return whether an algorithm draws solutions at random, without a search; false if it is not installed."""
     try:
@@ -288,12 +295,15 @@ def check_extra(problem: Problem) -> None:
         raise InvalidInput.at("/problem/id", message)
 
 
-def describe_problems() -> list[dict[str, Any]]:
+def describe_problems(reported: Callable[[Problem], list[str]]) -> list[dict[str, Any]]:
     """Describe all problems, with the schemas of their parameters and their default search spaces.
 
     Problems that a user brought are left out, with a line in the log, if they cannot be described.
+
+    Args:
+        reported: Returns the kinds of findings that every campaign on a problem has.
     """
-    return _described(PROBLEMS, _describe_problem)
+    return _described(PROBLEMS, partial(_describe_problem, reported=reported))
 
 
 def describe_algorithms() -> list[dict[str, Any]]:
@@ -317,19 +327,20 @@ def _described(group: str, describe: Callable[[str], dict[str, Any]]) -> list[di
     return described
 
 
-def _describe_problem(problem_id: str) -> dict[str, Any]:
+def _describe_problem(problem_id: str, reported: Callable[[Problem], list[str]]) -> dict[str, Any]:
     kind = problem_type(problem_id)
     problem = make_problem(problem_id, {})
+    finds = reported(problem)
     return {
         "id": problem_id,
         "summary": kind.summary,
         "params": _problem_schema(kind, problem),
         "space": problem.space.describe(),
         "simulator": problem.needs if isinstance(problem, SimulatedProblem) else None,
-        "finds": _finds(problem),
+        "finds": finds,
         "measures_detector": bool(problem.measured_detector),
         "algorithm_defaults": dict(problem.algorithm_defaults),
-        "first_algorithm": _first_algorithm(problem),
+        "first_algorithm": _first_algorithm(problem, finds),
         "python_only": problem.python_only,
     }
 
@@ -399,32 +410,28 @@ def requirement_options() -> list[dict[str, str]]:
     ]
 
 
-_FIRST: Final = ("edge@1", "mlcshe@1", "random@1")
-_FIRST_FOR_VIOLATIONS: Final = ("mumoea@1", *_FIRST)
 _AMPLE: Final = 10**6
 """A budget that is enough for any algorithm."""
 
 
-def _first_algorithm(problem: Problem) -> str:
-    """Return the algorithm to begin with: the first one that can search the problem's space."""
-    for name in _FIRST_FOR_VIOLATIONS if isinstance(problem, ReportsViolations) else _FIRST:
-        algorithm = make_algorithm(name)
-        known = set(algorithm.config_type.__dataclass_fields__)
-        defaults = {key: value for key, value in problem.algorithm_defaults.items() if key in known}
-        try:
-            config = make_params(algorithm.config_type, defaults, "/algorithm/params")
-            algorithm.check(problem.space, config, budget=_AMPLE)
-        except (UnsupportedSpace, ConfigError, InvalidInput):
-            continue
-        return name
-    return _FIRST[-1]
+def _first_algorithm(problem: Problem, reported: Sequence[str]) -> str:
+    """Return the algorithm to begin with.
+
+    Of those that are suggested and that can search the problem's space, one for what the problem reports comes first.
+    """
+    own = [make_algorithm(name) for name in plugin_ids(ALGORITHMS) if is_own_plugin(ALGORITHMS, name)]
+    suggested = [one for one in own if getattr(one, "suggested", None) is not None]
+    suggested.sort(key=lambda one: (declared_finds(one)[0] not in reported, getattr(one, "suggested", None)))
+    return next(one.id for one in suggested if _can_search(one, problem))
 
 
-def _finds(problem: Problem) -> list[str]:
-    """Return the kinds of findings of a problem besides its boundary, named like their routes."""
-    kinds = ["violations"] if isinstance(problem, ReportsViolations) else []
+def _can_search(algorithm: AnyAlgorithm, problem: Problem) -> bool:
+    """Return whether an algorithm can search a problem's space with the settings that the problem suggests."""
+    known = set(algorithm.config_type.__dataclass_fields__)
+    defaults = {key: value for key, value in problem.algorithm_defaults.items() if key in known}
     try:
-        slots_of(problem.space)
-    except UnsupportedSpace:
-        return kinds
-    return [*kinds, "combinations"]
+        config = make_params(algorithm.config_type, defaults, "/algorithm/params")
+        algorithm.check(problem.space, config, budget=_AMPLE)
+    except (UnsupportedSpace, ConfigError, InvalidInput):
+        return False
+    return True

@@ -8,7 +8,7 @@ PACKAGES = ("brink", "search", "server", "worker")
 ROOT = Path(__file__).parents[3]
 
 
-def test_nothing_compares_the_id_of_an_algorithm_or_asks_what_a_search_looks_for() -> None:
+def test_nothing_compares_or_lists_ids_of_algorithms_or_asks_what_a_search_looks_for() -> None:
     ids = _algorithm_ids()
     assert ids["Edge.id"] == "edge@1"
     guilty = []
@@ -17,12 +17,25 @@ def test_nothing_compares_the_id_of_an_algorithm_or_asks_what_a_search_looks_for
         if "looks_for_" in text or "searches_for_" in text:
             guilty.append(f"{file}: asks what a search looks for")
         for node in ast.walk(ast.parse(text)):
+            listed = [
+                one
+                for one in _listed(node)
+                if (isinstance(one, ast.Constant) and one.value in ids.values()) or ast.unparse(one) in ids
+            ]
+            guilty += [f"{file}:{one.lineno}: lists {ast.unparse(one)}" for one in listed]
             if isinstance(node, ast.Compare):
                 for part in ast.walk(node):
                     constant = isinstance(part, ast.Constant) and part.value in ids.values()
                     if constant or ast.unparse(part) in ids:
                         guilty.append(f"{file}:{node.lineno}: compares {ast.unparse(part)}")
     assert guilty == []
+
+
+def _listed(node: ast.AST) -> list[ast.expr]:
+    """Return the members of a list, and the keys of a dictionary."""
+    if isinstance(node, ast.List | ast.Tuple | ast.Set):
+        return node.elts
+    return [key for key in node.keys if key is not None] if isinstance(node, ast.Dict) else []
 
 
 def _algorithm_ids() -> dict[str, str]:

@@ -9,8 +9,9 @@ from support.api import ball
 from brink.cli.options import read_odd
 from brink.search.odd import odd_of
 from brink.search.parameters import Categorical
-from brink.server.campaigns.body import CampaignBody, parse_body, stored_body
+from brink.server.campaigns.body import CampaignBody, parse_body
 from brink.server.campaigns.plan import make_plan
+from brink.server.campaigns.store import stored_body
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import SimulatedProblem
 from brink.server.problems.catalogue import make_problem

@@ -18,6 +18,7 @@ from brink.search.errors import ConfigError
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import check_submission
 from brink.server.errors import InvalidInput
+from brink.server.findings.kind import reported_by
 from brink.server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
 from brink.server.problems.base import NoParams
 from brink.server.problems.catalogue import (
@@ -338,7 +339,7 @@ def test_catalogue_offers_the_requirements_that_a_problem_takes() -> None:
         one["id"]: [
             option["value"] for option in one["params"]["properties"]["requirement"].get("options", [])
         ]
-        for one in describe_problems()
+        for one in describe_problems(reported_by)
         if "requirement" in one["params"]["properties"]
     }
     assert offered["urban-injected@1"][-1] == "any"
