@@ -29,16 +29,18 @@ _HELD: Final = {
 }
 """What a requirement that held is called, alone and after the word drives, by id without version."""
 _VIOLATED: Final = {
-    "front-gap": "violated the front gap",
-    "lane-keeping": "left the lane",
-    "red-light": "ran a red light",
-    "speed-limit": "exceeded the speed limit",
-    "progress": "stood still too long",
-    "no-dangerous-stop": "made a dangerous stop",
-    "survival": "ended too early",
-    "margin": "violated the margin",
-    "function": "violated the requirement",
+    "front-gap": ("violated the front gap", "violate the front gap"),
+    "no-collision": ("had a collision", "collide"),
+    "lane-keeping": ("left the lane", "leave the lane"),
+    "red-light": ("ran a red light", "run a red light"),
+    "speed-limit": ("exceeded the speed limit", "exceed the speed limit"),
+    "progress": ("stood still too long", "stand still too long"),
+    "no-dangerous-stop": ("made a dangerous stop", "make a dangerous stop"),
+    "survival": ("ended too early", "end too early"),
+    "margin": ("violated the margin", "violate the margin"),
+    "function": ("violated the requirement", "violate the requirement"),
 }
+"""What a drive did that violated a requirement, and what such drives do."""
 _COLLIDED: Final = {
     CollisionKind.VEHICLE: "hit a vehicle",
     CollisionKind.PEDESTRIAN: "hit a pedestrian",
@@ -293,11 +295,11 @@ def violated_words(
         impact: How the two met, if known.
     """
     name = plain_id(requirement)
-    if name == "no-collision":
-        if collision is not None and impact is not None:
+    if name == "no-collision" and collision is not None:
+        if impact is not None:
             return impact.words(f"a{'n' if collision is CollisionKind.OBJECT else ''} {collision.value}")
-        return _COLLIDED[collision] if collision is not None else "had a collision"
-    return _VIOLATED.get(name, f"violated {_spaced(requirement)}")
+        return _COLLIDED[collision]
+    return _VIOLATED[name][0] if name in _VIOLATED else f"violated {_spaced(requirement)}"
 
 
 def unsafe_words(requirements: Sequence[str]) -> str:
@@ -305,3 +307,10 @@ def unsafe_words(requirements: Sequence[str]) -> str:
     if len(requirements) > MOST_NAMED:
         return f"violated at least one of {len(requirements)} requirements"
     return " or ".join(violated_words(name) for name in requirements)
+
+
+def drives_violate(requirements: Sequence[str]) -> str:
+    """Return what drives do that violate requirements, such as ``violate the front gap or collide``."""
+    names = [plain_id(name) for name in requirements]
+    told = [_VIOLATED[name][1] if name in _VIOLATED else f"violate {_spaced(name)}" for name in names]
+    return " or ".join(told) or "violate the requirement"

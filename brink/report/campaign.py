@@ -51,7 +51,7 @@ from brink.report.tables import finding_section
 from brink.report.text import page_template
 from brink.search.analysis.combinations import MIN_PLACES
 from brink.server.findings.pairs.views import DEFAULT_CONFIRMATIONS, PairsView
-from brink.server.findings.tolerances.views import Finding, ToleranceView
+from brink.server.findings.tolerances.views import ToleranceView, Tolerated
 from brink.server.problems.base import SimulatedProblem
 from brink.server.states import CampaignStatus, OutcomeKind
 
@@ -214,9 +214,9 @@ def _blamed_figures(pairs: PairsView) -> list[Term]:
 def _tolerance_figures(view: ToleranceView) -> list[Term]:
     found = Counter(cell.tolerated.finding for cell in view.cells)
     return [
-        Term(f"{found[Finding.LIMIT]:,} of {len(view.cells):,}", "cells with a limit within the scale"),
-        Term(f"{found[Finding.THROUGHOUT]:,}", "cells in which no limit was found"),
-        Term(f"{found[Finding.UNDECIDED]:,}", "cells undecided"),
+        Term(f"{found[Tolerated.LIMIT]:,} of {len(view.cells):,}", "cells with a limit within the scale"),
+        Term(f"{found[Tolerated.THROUGHOUT]:,}", "cells in which no limit was found"),
+        Term(f"{found[Tolerated.UNDECIDED]:,}", "cells undecided"),
     ]
 
 

@@ -25,7 +25,7 @@ from brink.search.errors import TooManyPairs
 from brink.server.findings.boundary.views import Boundary
 from brink.server.findings.follow_ups import ShareView
 from brink.server.findings.pairs.views import PairsView, PairView, SideView
-from brink.server.findings.tolerances.views import Finding, ToleranceView
+from brink.server.findings.tolerances.views import ToleranceView, Tolerated
 from brink.server.findings.violations.views import TypeView
 from brink.server.problems.changes import as_sentence
 from brink.server.states import OutcomeKind
@@ -237,7 +237,7 @@ def tolerance_section(facts: Facts, album: Album) -> Section | None:
     if view is None or not view.cells:
         return None
     limits = limiting(view)
-    throughout = [cell for cell in view.cells if cell.tolerated.finding is Finding.THROUGHOUT]
+    throughout = [cell for cell in view.cells if cell.tolerated.finding is Tolerated.THROUGHOUT]
     lists = [("Tolerated up to a magnitude, tightest first", [cell.sentence for cell in limits[:MOST_ROWS]])]
     if len(limits) > MOST_ROWS:
         lists[0][1].append(f"… and {len(limits) - MOST_ROWS} more in the table.")

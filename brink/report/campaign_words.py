@@ -17,7 +17,7 @@ from brink.search.space import FloatArray
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.findings.pairs.views import PairsView
-from brink.server.findings.tolerances.views import CellView, Finding, ToleranceView
+from brink.server.findings.tolerances.views import CellView, ToleranceView, Tolerated
 from brink.server.problems.catalogue import ODD, is_baseline
 from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus, OutcomeKind
@@ -188,7 +188,7 @@ def findings(facts: Facts) -> list[str]:
 
 def limiting(view: ToleranceView) -> list[CellView]:
     """Return the cells with a limit, the tightest first."""
-    found = [cell for cell in view.cells if cell.tolerated.finding is Finding.LIMIT]
+    found = [cell for cell in view.cells if cell.tolerated.finding is Tolerated.LIMIT]
     return sorted(found, key=lambda cell: cell.tolerated.value.severity or 0.0)
 
 

@@ -3,7 +3,7 @@
 from typing import Final
 
 from brink.report.text import table_row
-from brink.server.findings.tolerances.views import CellView, Finding, ToleranceView
+from brink.server.findings.tolerances.views import CellView, ToleranceView, Tolerated
 
 
 def requirement_document(view: ToleranceView, picture: str | None = None) -> str:
@@ -62,9 +62,9 @@ _SCREENING: Final = (
     "",
 )
 _SECTIONS: Final = {
-    "Tolerated up to a limit": Finding.LIMIT,
-    "No limit found": Finding.THROUGHOUT,
-    "Undecided": Finding.UNDECIDED,
+    "Tolerated up to a limit": Tolerated.LIMIT,
+    "No limit found": Tolerated.THROUGHOUT,
+    "Undecided": Tolerated.UNDECIDED,
 }
 KEY: Final = (
     "screened: drives simulated with the grossest error concerning the same road users; vulnerable: those that it "
@@ -86,7 +86,7 @@ def tolerated_words(cell: CellView) -> tuple[str, str]:
     unit = cell.unit if cell.unit == "%" else f" {cell.unit}".rstrip()
     if not cell.basis:
         return "unknown", ""
-    if found.finding is Finding.THROUGHOUT:
+    if found.finding is Tolerated.THROUGHOUT:
         grossest = None if cell.curve.magnitude is None else cell.curve.magnitude[-1]
         return f"no limit to {_amount(grossest, cell.curve.severity[-1])}{unit}", ""
     value = _amount(found.value.magnitude, found.value.severity)

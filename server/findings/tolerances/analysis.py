@@ -19,12 +19,13 @@ from brink.server.findings.tolerances.views import (
     CurveView,
     ExampleView,
     FallView,
-    Finding,
     ToleranceView,
+    Tolerated,
     ToleratedView,
 )
 from brink.server.problems.base import Problem, SeverityScale
 from brink.server.problems.changes import as_sentence
+from brink.sim.verdict import drives_violate
 
 _NEARLY_ALL = 0.95
 """Severity from which the end of the scale is not told apart."""
@@ -111,7 +112,7 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
 
 def _note(cells: list[CellView], drives: int, limit: float, confidence: float) -> str:
     findings = [cell.tolerated.finding for cell in cells]
-    reached, never = findings.count(Finding.LIMIT), findings.count(Finding.THROUGHOUT)
+    reached, never = findings.count(Tolerated.LIMIT), findings.count(Tolerated.THROUGHOUT)
     if not any(cell.basis for cell in cells):
         return f"no drive with an error has been simulated yet; {len(cells)} cells are to be measured"
     return (
@@ -123,7 +124,7 @@ def _note(cells: list[CellView], drives: int, limit: float, confidence: float) -
 
 def _caveat(cells: list[CellView], limit: float) -> str:
     about = "All of this is about one error at a time, in these scenarios, with this driving system."
-    without = [cell for cell in cells if cell.basis and cell.tolerated.finding is Finding.THROUGHOUT]
+    without = [cell for cell in cells if cell.basis and cell.tolerated.finding is Tolerated.THROUGHOUT]
     if not without:
         return about
     more = ""
@@ -262,21 +263,21 @@ class CellWords:
             basis: How many drives it rests on; empty if there are none.
         """
         share = f"{self._limit:.0%}"
-        violated = violated_words(self._requirements)
+        violated = drives_violate(self._requirements)
         activity = self.activity(curve)
         match _finding(curve, basis):
-            case Finding.LIMIT:
+            case Tolerated.LIMIT:
                 words = f"{activity} makes {share} of drives {violated}"
-            case Finding.THROUGHOUT:
+            case Tolerated.THROUGHOUT:
                 words = f"{activity} makes fewer than {share} of drives {violated}"
-            case Finding.UNDECIDED if not basis:
+            case Tolerated.UNDECIDED if not basis:
                 words = f"{self._activity('any magnitude')}: nothing is known yet"
-            case Finding.UNDECIDED if math.isinf(curve.tolerated.value):
+            case Tolerated.UNDECIDED if math.isinf(curve.tolerated.value):
                 words = f"{activity} probably makes fewer than {share} of drives {violated}"
                 if curve.tolerated.low < _NEARLY_ALL:
                     low = self._number(curve.tolerated.low, unit=True)
                     words += f", but {self._activity(low)} may already make that many"
-            case Finding.UNDECIDED:
+            case Tolerated.UNDECIDED:
                 words = f"{activity} probably makes {share} of drives {violated}, or no magnitude does"
         return f"{as_sentence(condition)}: {words}{f' ({basis})' if basis else ''}."
 
@@ -300,7 +301,7 @@ class CellWords:
         words = (
             f"in {drives:,} {'drive' if drives == 1 else 'drives'} the worst such error has a median of{at_least} "
             f"{self._number(middle, unit=True)}; {share.value:.1%} [{100 * share.low:.1f}, {100 * share.high:.1f}] "
-            f"of drives with such errors {violated_words(self._requirements)}, {self._limit:.0%} are allowed"
+            f"of drives with such errors {drives_violate(self._requirements)}, {self._limit:.0%} are allowed"
         )
         return f"{start}: {words}."
 
@@ -326,31 +327,13 @@ def _ends(curve: Curve) -> tuple[float, float, float]:
     return curve.tolerated.value, curve.tolerated.low, curve.tolerated.high
 
 
-def _finding(curve: Curve, basis: str) -> Finding:
+def _finding(curve: Curve, basis: str) -> Tolerated:
     """Return what is known of a cell: nothing before the first drive, whatever the prior says."""
     if not basis:
-        return Finding.UNDECIDED
+        return Tolerated.UNDECIDED
     if math.isinf(curve.tolerated.low):
-        return Finding.THROUGHOUT
-    return Finding.UNDECIDED if math.isinf(curve.tolerated.high) else Finding.LIMIT
-
-
-_VIOLATIONS = {
-    "front-gap": "violate the front gap",
-    "no-collision": "collide",
-    "lane-keeping": "leave the lane",
-    "red-light": "run a red light",
-    "speed-limit": "exceed the speed limit",
-    "progress": "get stuck",
-}
-
-
-def violated_words(requirements: list[str]) -> str:
-    """Return requirements as what violates them, such as ``violate the front gap or collide``."""
-    if not requirements:
-        return "violate the requirement"
-    names = [name.partition("@")[0] for name in requirements]
-    return " or ".join(_VIOLATIONS.get(name, f"violate {name}") for name in names)
+        return Tolerated.THROUGHOUT
+    return Tolerated.UNDECIDED if math.isinf(curve.tolerated.high) else Tolerated.LIMIT
 
 
 def tolerance_csv(view: ToleranceView) -> str:

@@ -10,12 +10,13 @@ from brink.server.campaigns.detector_check import ALL_DRIVES, CellCheck, CheckRe
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
-from brink.server.findings.tolerances.analysis import CellWords, violated_words
+from brink.server.findings.tolerances.analysis import CellWords
 from brink.server.findings.tolerances.views import DetectorCell, DetectorConditionView, DetectorView
 from brink.server.problems.base import Problem, RatesMeasuredErrors, SeverityScale
 from brink.server.problems.changes import as_sentence
 from brink.sim.urban.detection_errors import Target
 from brink.sim.urban.error_meter import MEASURED
+from brink.sim.verdict import drives_violate
 
 
 def detector_view(
@@ -59,7 +60,7 @@ def detector_view(
         confidence=confidence,
         note=_verdict(name, len(drives), [check.result for check in checks]),
         meaning="Each cell is a type of error that concerns one target, under one condition. Met: errors of the "
-        f"sizes that this detector has make at most {limit:.0%} of drives {violated_words(requirements)}, even at "
+        f"sizes that this detector has make at most {limit:.0%} of drives {drives_violate(requirements)}, even at "
         f"the upper end of an interval of {confidence:.0%}. Not met: they make more, even at its lower end."
         + _not_judged(plan.problem, [check.choices for check in checks], drives),
         no_data=_no_data(cells),

@@ -11,15 +11,15 @@ from brink.server.states import CampaignStatus
 from brink.server.views import View
 
 
-class Finding(StrEnum):
-    """What is known of a cell."""
+class Tolerated(StrEnum):
+    """How gross an error may be."""
 
     LIMIT = "limit"
-    """The limit is reached within the scale."""
+    """Up to a limit, at which too many drives violate."""
     THROUGHOUT = "throughout"
-    """The limit is not reached, however gross the error."""
+    """However gross it is: the limit is not within the scale."""
     UNDECIDED = "undecided"
-    """It may or may not be reached within the scale."""
+    """The limit may or may not be within the scale."""
 
 
 class Amount(View):
@@ -32,7 +32,7 @@ class Amount(View):
 class ToleratedView(View):
     """The severity at which the share of caused violations reaches the limit, with its interval."""
 
-    finding: Finding
+    finding: Tolerated
     value: Amount
     low: Annotated[Amount, Field(description="Lower end; above it, the limit may be exceeded.")]
     high: Amount

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from brink.sim.catalogue import requirement_ids
 from brink.sim.episode import Verdict
 from brink.sim.requirements import CollisionKind
-from brink.sim.verdict import EpisodeVerdict, Impact, clock_words, violated_words
+from brink.sim.verdict import EpisodeVerdict, Impact, clock_words, drives_violate, violated_words
 
 SIX = ("front-gap@1", "no-collision@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1")
 
@@ -35,6 +36,14 @@ def test_the_requirements_that_decide_come_first() -> None:
     assert found.unsafe
     assert found.words() == "had a collision at 5.0 s; left the lane at 3.0 s"
     assert [one.decides for one in found.violated] == [True, False]
+
+
+@pytest.mark.parametrize("requirement", requirement_ids())
+def test_what_drives_do_is_worded_as_what_a_drive_did(requirement: str) -> None:
+    if drives_violate([requirement]) != "collide":
+        _, *did = violated_words(requirement).split()
+        _, *do = drives_violate([requirement]).split()
+        assert do == did
 
 
 @pytest.mark.parametrize("kind", CollisionKind)
