@@ -5,8 +5,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Response
 
 from brink.server.api.context import Services
-from brink.server.api.responses import json_response
-from brink.server.api.solutions import MEDIA
+from brink.server.api.responses import MEDIA, file_response, json_response
 from brink.server.errors import NotFound
 from brink.server.findings.finding import Finding, Findings
 from brink.server.findings.summary import MOST_ROWS, ROWS, find_all, find_kind
@@ -44,5 +43,4 @@ async def get_finding(
         names = ", ".join(one.name for one in finding.tables) or "none"
         raise NotFound(f"findings of kind {kind[:64]!r} have no such table; expected one of {names}")
     content = await services.pages.run(lambda: chosen.to_bytes(format))
-    headers = {"Content-Disposition": f'attachment; filename="{kind}-{campaign.id}.{format}"'}
-    return Response(content, media_type=MEDIA[format], headers=headers)
+    return file_response(content, f"{kind}-{campaign.id}", format)

@@ -7,6 +7,7 @@ from sqlalchemy import Connection
 
 from brink.server.api.context import Services
 from brink.server.api.responses import (
+    MEDIA,
     NOT_MODIFIED,
     etag_of,
     json_response,
@@ -14,7 +15,6 @@ from brink.server.api.responses import (
     not_modified,
     set_created,
 )
-from brink.server.api.solutions import MEDIA
 from brink.server.campaigns.follow_ups import plan_component, plan_minimisation, read_seeds, sides_of
 from brink.server.campaigns.pairs import PairSettings
 from brink.server.campaigns.repeats import EVERY_D_TH, EVERY_T_B, FollowUpKind, read_follow_ups

@@ -144,6 +144,23 @@ def json_response(view: View, headers: Mapping[str, str] | None = None) -> Respo
     return Response(view.model_dump_json(), media_type="application/json", headers=headers)
 
 
+MEDIA: Final = {"csv": "text/csv", "jsonl": "application/jsonl", "parquet": "application/vnd.apache.parquet"}
+"""Media types of tables."""
+
+
+def file_response(content: bytes, name: str, form: str, headers: Mapping[str, str] | None = None) -> Response:
+    """Return a table as a file to save.
+
+    Args:
+        content: The table.
+        name: Name of the file, without its ending.
+        form: Its format, a key of `MEDIA`.
+        headers: Additional headers.
+    """
+    disposition = {"Content-Disposition": f'attachment; filename="{name}.{form}"'}
+    return Response(content, media_type=MEDIA[form], headers={**disposition, **(headers or {})})
+
+
 def computing(detail: str) -> Any:
     """Return a 202 response that says what is still being computed."""
     return JSONResponse(BeingMade(detail=detail).model_dump(), status_code=202, headers={"Retry-After": "2"})

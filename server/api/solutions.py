@@ -2,7 +2,6 @@
 
 import io
 import json
-import math
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
@@ -10,32 +9,26 @@ import numpy as np
 from fastapi import APIRouter, Query, Response
 from fastapi import Path as PathParameter
 from pydantic import Field
-from sqlalchemy import Connection, Row
+from sqlalchemy import Row
 
-from brink.search.analysis.similarity import Nearest, nearest_opposite, nearest_solutions
-from brink.search.pairs import Steps
 from brink.search.parameters import Categorical
 from brink.search.space import FloatArray, SearchSpace
 from brink.server.api.context import Context, Services
-from brink.server.api.responses import json_response
+from brink.server.api.responses import MEDIA, file_response, json_response
 from brink.server.api.schemas import MAX_NUMBER, DistanceBlock, SolutionPage
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive, read_activity
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, MOST_KNOWN
-from brink.server.campaigns.known import KnownRecord, read_known
-from brink.server.campaigns.outcomes import CampaignOutcomes, outcome_of
+from brink.server.campaigns.known import read_known
 from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput, NotFound
-from brink.server.findings.boundary.analysis import boundary_view
-from brink.server.findings.boundary.table import boundary_columns, boundary_rows
+from brink.server.findings.boundary.analysis import find_boundary
+from brink.server.findings.boundary.table import boundary_file
 from brink.server.findings.boundary.views import Boundary
-from brink.server.findings.solutions import simulated, solution_views
-from brink.server.findings.table import table_bytes
-from brink.server.problems.base import Problem, describe_candidate
-from brink.server.problems.changes import change_words, changes_between
-from brink.server.states import OutcomeKind, SolutionVerdict
+from brink.server.findings.neighbours import Neighbours, find_neighbours
+from brink.server.findings.solutions import KnownSolutionView, known_view, solution_views
 from brink.server.views import SolutionView, View
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
@@ -43,9 +36,6 @@ router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 MAX_DISTANCES = 1_000
 MOST_LISTED = 1_000
 """Maximum number of boundary solutions in a response: each has all that its episode measured, about 10 kB."""
-MEDIA = {"csv": "text/csv", "jsonl": "application/jsonl", "parquet": "application/vnd.apache.parquet"}
-"""Media types of tables."""
-
 Threshold = Annotated[float, Query(ge=0, le=1)]
 Number = Annotated[int, PathParameter(ge=0, le=MAX_NUMBER)]
 
@@ -118,20 +108,12 @@ async def get_boundary(
     Thresholds at which too many solutions would have to be compared with each other are refused.
     """
     campaign = await services.campaigns.get(campaign_id)
-    found = await services.archives.get(campaign)
-    boundary = await services.boundaries.get(campaign, found, t_b, d_th)
-    grid = await services.boundaries.grid(campaign, found)
-
-    def respond(connection: Connection) -> Response:
-        view = boundary_view(connection, campaign, found, boundary, grid, t_b=t_b, d_th=d_th, limit=limit)
-        if format == "json":
-            return json_response(view)
-        rows = boundary_rows(view, campaign.id, campaign.body)
-        table = table_bytes(rows, format, boundary_columns(found.plan.problem.space))
-        headers = {"Content-Disposition": f'attachment; filename="boundary-{campaign.id}.{format}"'}
-        return Response(table, media_type=MEDIA[format], headers=headers)
-
-    return await services.pages.read(services.engines, respond)
+    view = await find_boundary(services, campaign, t_b=t_b, d_th=d_th, limit=limit)
+    if format == "json":
+        return await services.pages.run(lambda: json_response(view))
+    space = (await services.archives.get(campaign)).plan.problem.space
+    content = await services.pages.run(lambda: boundary_file(view, campaign, space, format))
+    return file_response(content, f"boundary-{campaign.id}", format)
 
 
 @router.get("/distances", response_model=DistanceBlock)
@@ -217,23 +199,6 @@ def _choices(space: SearchSpace) -> list[str]:
     ]
 
 
-class KnownSolutionView(View):
-    """A solution that a campaign started from."""
-
-    place: Annotated[int, Field(description="Position among them; it has no number in this campaign.")]
-    verdict: Annotated[
-        SolutionVerdict | None,
-        Field(description="Its known verdict, which this campaign did not simulate; null without a result."),
-    ]
-    robustness: float | None
-    words: str
-    parameters: dict[str, dict[str, Any]]
-    campaign: Annotated[
-        str | None, Field(description="The campaign that simulated it; null for a given solution.")
-    ]
-    number: Annotated[int | None, Field(description="Its number in that campaign.")]
-
-
 class KnownPage(View):
     """A page of the solutions that a campaign started from."""
 
@@ -255,85 +220,13 @@ async def get_known(
         problem = make_plan(campaign.body).problem
         with services.engines.reader.connect() as connection:
             records = read_known(connection, campaign.id, after=after, limit=limit)
-        return [_known_view(problem, place, one) for place, one in enumerate(records, after + 1)]
+        return [known_view(problem, place, one) for place, one in enumerate(records, after + 1)]
 
     views = await services.pages.run(look)
     return KnownPage(solutions=views, next=views[-1].place if len(views) == limit else None)
 
 
-def _known_view(problem: Problem, place: int, record: KnownRecord) -> KnownSolutionView:
-    vectors = problem.space.split(np.frombuffer(record.vector, dtype="<f8"))
-    verdict = None
-    if record.unsafe is not None:
-        verdict = SolutionVerdict.UNSAFE if record.unsafe else SolutionVerdict.SAFE
-    return KnownSolutionView(
-        place=place,
-        verdict=verdict,
-        robustness=record.robustness,
-        words=describe_candidate(problem, vectors),
-        parameters=problem.space.decode(vectors),
-        campaign=record.source,
-        number=record.number,
-    )
-
-
 NeighbourLimit = Annotated[int, Query(ge=0, le=1000, description="Maximum number of neighbours to return.")]
-
-
-class Neighbour(View):
-    """An evaluated solution close to another one."""
-
-    number: int
-    distance: float
-    within: Annotated[
-        bool, Field(description="Whether it counts as a neighbour, that is, lies within the radius.")
-    ]
-    unsafe: bool
-    outcome: Annotated[
-        str, Field(description="What its simulation showed about all requirements, without moments.")
-    ]
-    kind: OutcomeKind
-    robustness: float
-    fitness: float
-
-
-class Opposite(View):
-    """The nearest solution with the other verdict, and what differs."""
-
-    number: int
-    distance: float
-    unsafe: bool
-    outcome: Annotated[str, Field(description="What its simulation showed, in words, with moments.")]
-    kind: OutcomeKind
-    change: Annotated[str, Field(description="What differs in the unsafe one of the two, in words.")]
-    differences: Annotated[int, Field(description="Number of parameters that differ.")]
-    same_seed: Annotated[
-        bool, Field(description="Whether both had the same episode seed, so that chance has no part.")
-    ]
-
-
-class Neighbours(View):
-    """The neighbourhood of a solution and the solutions closest to it."""
-
-    number: int
-    radius: Annotated[float, Field(description="Largest distance of a neighbour.")]
-    p_th: Annotated[float, Field(description="Unsafe share that defines the boundary.")]
-    confidence: Annotated[float, Field(description="Confidence level of the interval, such as 0.95.")]
-    rated: Annotated[
-        bool,
-        Field(description="Whether the algorithm searches for this boundary; if not, fitness means little."),
-    ]
-    neighbours: Annotated[int, Field(description="Solutions within the radius, including this one.")]
-    unsafe_neighbours: int
-    interval: Annotated[
-        tuple[float, float], Field(description="Wilson interval of the unsafe share within the radius.")
-    ]
-    fitness: Annotated[float, Field(description="Distance of that interval from p_th; 0 on the boundary.")]
-    evaluated: Annotated[int, Field(description="Evaluated solutions of the campaign.")]
-    nearest: Annotated[list[Neighbour], Field(description="Closest first, without this one.")]
-    opposite: Annotated[
-        Opposite | None, Field(description="Nearest solution with the other verdict; null if there is none.")
-    ] = None
 
 
 @router.get("/solutions/{number}/neighbours")
@@ -341,87 +234,4 @@ async def get_neighbours(
     campaign_id: str, number: Number, services: Services, most: NeighbourLimit = 12
 ) -> Neighbours:
     """Return the neighbourhood of an evaluated solution and the solutions closest to it."""
-    campaign = await services.campaigns.get(campaign_id)
-    found = await services.archives.get(campaign)
-    boundary = "boundary" in found.plan.finds
-    outcomes = await services.outcomes.get(campaign.id, found)
-
-    def look() -> Neighbours:
-        place = found.places.get(number)
-        if place is None:
-            raise NotFound(f"campaign {campaign.id} has no evaluated solution {number}")
-        near = nearest_solutions(found.archive, place, most)
-        view = _neighbours_view(found, outcomes, number, place, near, boundary=boundary)
-        with services.engines.reader.connect() as connection:
-            return view.model_copy(update={"opposite": _opposite(connection, campaign.id, found, place)})
-
-    return await services.pages.run(look)
-
-
-def _opposite(connection: Connection, campaign_id: str, found: ReadArchive, place: int) -> Opposite | None:
-    nearest = nearest_opposite(found.archive, place)
-    if nearest is None:
-        return None
-    archive, problem, (other, distance) = found.archive, found.plan.problem, nearest
-    places = (other, place) if archive.unsafe[place] else (place, other)
-    rows = {
-        row.number: row
-        for row in view_store.read_solutions(
-            connection, campaign_id, [int(archive.numbers[one]) for one in places]
-        )
-    }
-    if len(rows) < len(places):
-        return None  # it was deleted meanwhile
-    safe, unsafe = (rows[int(archive.numbers[one])] for one in places)
-    units = Steps(problem.space).differing(archive.vectors[places[0]], archive.vectors[places[1]])
-    sides = simulated(problem, safe), simulated(problem, unsafe)
-    changes = changes_between(problem, *sides, units)
-    shown = rows[int(archive.numbers[other])]
-    outcome = outcome_of(
-        problem,
-        json.loads(shown.result) if shown.result else None,
-        safe=shown.verdict == SolutionVerdict.SAFE,
-        robustness=shown.robustness,
-    )
-    return Opposite(
-        number=shown.number,
-        distance=distance,
-        unsafe=bool(archive.unsafe[other]),
-        outcome=outcome.words(),
-        kind=outcome.kind,
-        change=change_words(problem, *sides, changes),
-        differences=sum(len(change.names) for change in changes),
-        same_seed=safe.seed == unsafe.seed,
-    )
-
-
-def _neighbours_view(
-    found: ReadArchive, outcomes: CampaignOutcomes, number: int, place: int, near: Nearest, *, boundary: bool
-) -> Neighbours:
-    archive, settings = found.archive, found.plan.neighbourhood
-    low, high = archive.interval[place].tolist()
-    return Neighbours(
-        number=number,
-        radius=settings.radius,
-        p_th=settings.p_th,
-        confidence=math.erf(settings.z / math.sqrt(2)),
-        rated=boundary,
-        neighbours=int(archive.neighbours[place]),
-        unsafe_neighbours=int(archive.unsafe_neighbours[place]),
-        interval=(low, high),
-        fitness=float(archive.fitness[place]),
-        evaluated=len(archive),
-        nearest=[
-            Neighbour(
-                number=int(archive.numbers[other]),
-                distance=distance,
-                within=distance <= settings.radius,
-                unsafe=bool(archive.unsafe[other]),
-                outcome=outcomes.groups[outcomes.which[other]].words,
-                kind=outcomes.groups[outcomes.which[other]].kind,
-                robustness=float(archive.robustness[other]),
-                fitness=float(archive.fitness[other]),
-            )
-            for other, distance in zip(near.positions.tolist(), near.distances.tolist(), strict=True)
-        ],
-    )
+    return await find_neighbours(services, await services.campaigns.get(campaign_id), number, most)

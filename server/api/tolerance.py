@@ -1,6 +1,5 @@
 """Routes of tolerances: how gross an error may be before too many drives violate a requirement because of it."""
 
-import asyncio
 from collections import Counter
 from collections.abc import Collection, Mapping
 from typing import Annotated, Literal
@@ -10,11 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 
 from brink.server.api.context import Services
 from brink.server.api.responses import NOT_MODIFIED, etag_of, matches, not_modified
-from brink.server.campaigns.detector_check import MOST_DRIVES, Drive, read_drives
-from brink.server.errors import InvalidInput
-from brink.server.findings.tolerances.agreement import agreement_view
-from brink.server.findings.tolerances.analysis import tolerance_csv, tolerance_view
-from brink.server.findings.tolerances.detector import detector_view
+from brink.server.campaigns.detector_check import MOST_DRIVES, Drive
+from brink.server.findings.tolerances.agreement import find_agreement
+from brink.server.findings.tolerances.analysis import find_tolerance, tolerance_csv
+from brink.server.findings.tolerances.detector import check_campaign, check_drives
 from brink.server.findings.tolerances.views import AgreementView, DetectorView, ToleranceView
 from brink.sim.urban.detection_errors import Target
 from brink.sim.urban.error_meter import MEASURED
@@ -36,8 +34,7 @@ async def get_tolerance(
     etag = etag_of(campaign.id, campaign.sequence, archive.generation, format)
     if matches(request, etag):
         return not_modified(etag)  # type: ignore[no-any-return]
-    found = await services.tolerances.get(campaign, archive)
-    view = await services.pages.run(lambda: tolerance_view(campaign, archive.plan, found))
+    view = await find_tolerance(services, campaign, archive)
     if format == "json":
         response.headers["ETag"] = etag
         return view
@@ -128,28 +125,17 @@ async def get_detector(
 ) -> DetectorView:
     """Return whether the detector of another campaign meets the requirement of this one."""
     campaign, other = await services.campaigns.get(campaign_id), await services.campaigns.get(episodes)
-    archive = await services.archives.get(campaign)
-    found = await services.tolerances.get(campaign, archive)
-    there = await services.archives.get(other)
-    drives = await services.pages.read(services.engines, lambda c: read_drives(c, other, there, found.layout))
-    problem = there.plan.problem
-    name = problem.measured_detector or other.body.name
-    return await services.analyses.run(lambda: detector_view(campaign, archive.plan, found, name, drives))
+    return await check_campaign(services, campaign, other)
 
 
 @router.post("/detector")
 async def post_detector(campaign_id: str, services: Services, body: DetectorBody) -> DetectorView:
     """Return whether a detector meets the requirement of a campaign, given its errors in drives of its own."""
-    campaign = await services.campaigns.get(campaign_id)
-    archive = await services.archives.get(campaign)
-    found = await services.tolerances.get(campaign, archive)
     drives = [
         Drive(name=one.name, condition=one.condition, measures=one.measures, at_least=one.at_least)
         for one in body.drives
     ]
-    return await services.analyses.run(
-        lambda: detector_view(campaign, archive.plan, found, body.detector, drives)
-    )
+    return await check_drives(services, await services.campaigns.get(campaign_id), body.detector, drives)
 
 
 @router.get("/agreement")
@@ -165,25 +151,4 @@ async def get_agreement(
 ) -> AgreementView:
     """Return whether the drives of another campaign, simulated afresh, are as these tolerances predict."""
     campaign, other = await services.campaigns.get(campaign_id), await services.campaigns.get(fresh)
-    if campaign.id == other.id:
-        raise InvalidInput.at("/query/fresh", f"expected another campaign than {campaign.id} itself")
-    if campaign.body.seed == other.body.seed:
-        raise InvalidInput.at(
-            "/query/fresh",
-            f"expected a campaign with another seed than {campaign.body.seed}: its drives are the same",
-        )
-    if campaign.body.problem != other.body.problem:
-        raise InvalidInput.at(
-            "/query/fresh", "expected a campaign on the same problem with the same parameters"
-        )
-    known, found = [
-        await services.tolerances.get(one, await services.archives.get(one)) for one in (campaign, other)
-    ]
-    if found.layout.groups or found.config.fixed != known.config.fixed:
-        raise InvalidInput.at(
-            "/query/fresh",
-            "expected a campaign that does not screen its drives, such as one with design: random, and with the same "
-            "fixed parameters",
-        )
-    plan = (await services.archives.get(campaign)).plan
-    return await asyncio.to_thread(agreement_view, campaign, plan, other, known, found, confidence)
+    return await find_agreement(services, campaign, other, confidence)

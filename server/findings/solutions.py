@@ -2,9 +2,10 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 from sqlalchemy import Connection, Row
 
 from brink.search.analysis.avoidable import avoidable_of, avoided_by_of
@@ -14,12 +15,13 @@ from brink.search.parameters import Categorical
 from brink.search.space import SearchSpace
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.known import KnownRecord
 from brink.server.campaigns.outcomes import outcome_of
 from brink.server.campaigns.store import Campaign
 from brink.server.errors import NotFound
 from brink.server.problems.base import Activity, Problem, SimulatedSolution, activity_of, describe_candidate
 from brink.server.states import SolutionVerdict
-from brink.server.views import ActivityView, SolutionView, ViolatedView
+from brink.server.views import ActivityView, SolutionView, View, ViolatedView
 from brink.sim.verdict import Violated
 
 
@@ -156,3 +158,37 @@ def simulated(problem: Problem, row: Row[*tuple[Any, ...]]) -> SimulatedSolution
     vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
     result = json.loads(row.result) if row.result else None
     return SimulatedSolution(vectors=vectors, activity=activity_of(problem, vectors, result), result=result)
+
+
+class KnownSolutionView(View):
+    """A solution that a campaign started from."""
+
+    place: Annotated[int, Field(description="Position among them; it has no number in this campaign.")]
+    verdict: Annotated[
+        SolutionVerdict | None,
+        Field(description="Its known verdict, which this campaign did not simulate; null without a result."),
+    ]
+    robustness: float | None
+    words: str
+    parameters: dict[str, dict[str, Any]]
+    campaign: Annotated[
+        str | None, Field(description="The campaign that simulated it; null for a given solution.")
+    ]
+    number: Annotated[int | None, Field(description="Its number in that campaign.")]
+
+
+def known_view(problem: Problem, place: int, record: KnownRecord) -> KnownSolutionView:
+    """Return the response schema of a solution that a campaign started from, at a place among them."""
+    vectors = problem.space.split(np.frombuffer(record.vector, dtype="<f8"))
+    verdict = None
+    if record.unsafe is not None:
+        verdict = SolutionVerdict.UNSAFE if record.unsafe else SolutionVerdict.SAFE
+    return KnownSolutionView(
+        place=place,
+        verdict=verdict,
+        robustness=record.robustness,
+        words=describe_candidate(problem, vectors),
+        parameters=problem.space.decode(vectors),
+        campaign=record.source,
+        number=record.number,
+    )

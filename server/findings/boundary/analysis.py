@@ -11,7 +11,25 @@ from brink.server.campaigns.boundaries import CampaignBoundary
 from brink.server.campaigns.store import Campaign
 from brink.server.findings.boundary.views import Boundary, BudgetBoundary, DbsCell, KnownBoundary
 from brink.server.findings.solutions import solutions_of
+from brink.server.findings.sources import Sources
 from brink.server.findings.words import listed_words
+
+
+async def find_boundary(
+    sources: Sources, campaign: Campaign, *, t_b: float, d_th: float, limit: int
+) -> Boundary:
+    """Return the distinct boundary solutions of a campaign, best fitness first; see `boundary_view`.
+
+    Raises:
+        InvalidInput: Too many solutions would have to be compared with each other.
+    """
+    read = await sources.archives.get(campaign)
+    boundary = await sources.boundaries.get(campaign, read, t_b, d_th)
+    grid = await sources.boundaries.grid(campaign, read)
+    return await sources.pages.read(
+        sources.engines,
+        lambda c: boundary_view(c, campaign, read, boundary, grid, t_b=t_b, d_th=d_th, limit=limit),
+    )
 
 
 def boundary_view(

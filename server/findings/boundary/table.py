@@ -7,8 +7,9 @@ from typing import Any, Final
 from brink.search.parameters import Categorical, Integer
 from brink.search.space import SearchSpace
 from brink.server.campaigns.body import CampaignBody
+from brink.server.campaigns.store import Campaign
 from brink.server.findings.boundary.views import Boundary
-from brink.server.findings.table import Cell, Row
+from brink.server.findings.table import Cell, Row, table_bytes
 from brink.server.views import SolutionView
 
 MEANINGS: Final = {
@@ -81,6 +82,21 @@ def parameter_columns(space: SearchSpace) -> dict[str, type]:
         for component in space.components
         for one in component.parameters
     }
+
+
+def boundary_file(boundary: Boundary, campaign: Campaign, space: SearchSpace, form: str) -> bytes:
+    """Encode boundary solutions as a file.
+
+    Args:
+        boundary: The solutions with all details.
+        campaign: The campaign.
+        space: Its search space.
+        form: ``csv``, ``jsonl`` or ``parquet``.
+
+    Raises:
+        InvalidInput: The format is Parquet, and pyarrow is not installed.
+    """
+    return table_bytes(boundary_rows(boundary, campaign.id, campaign.body), form, boundary_columns(space))
 
 
 def boundary_rows(boundary: Boundary, campaign: str, body: CampaignBody) -> list[Row]:

@@ -15,10 +15,15 @@ from brink.search.analysis.combinations import (
     verdicts_by_chain,
 )
 from brink.search.archive import Archive
+from brink.search.errors import UnsupportedSpace
 from brink.search.interaction import added_harm, interacts
 from brink.search.parameters import Categorical
 from brink.search.slots import Chain, ChainGenome, Step, slots_of
 from brink.search.space import SearchSpace
+from brink.server.campaigns import view_store
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.store import Campaign
+from brink.server.errors import NotFound
 from brink.server.findings.combinations.views import (
     ChainTally,
     Combinations,
@@ -27,6 +32,7 @@ from brink.server.findings.combinations.views import (
     TechniqueLevel,
     Variant,
 )
+from brink.server.findings.sources import Sources
 
 
 class TechniqueNames:
@@ -75,6 +81,54 @@ def alphas_of(
         for vector, objectives in measured
         if ALPHA in objectives
     }
+
+
+async def find_combinations(sources: Sources, campaign: Campaign, read: ReadArchive) -> Combinations:
+    """Return the tallies of all chains of a campaign, the most informative ones first.
+
+    Args:
+        sources: Where findings are read from.
+        campaign: The campaign.
+        read: Its archive.
+
+    Raises:
+        NotFound: The problem has no ordered techniques.
+    """
+    measured = await sources.pages.read(sources.engines, lambda c: view_store.read_measured(c, campaign.id))
+    config = read.plan.config if isinstance(read.plan.config, SimoodConfig) else None
+    space = read.plan.problem.space
+    try:
+        return await sources.analyses.run(
+            lambda: combinations_view(space, read.archive, alphas_of(space, measured), config)
+        )
+    except UnsupportedSpace:
+        raise _no_techniques(campaign) from None
+
+
+async def find_variants(sources: Sources, campaign: Campaign, number: int) -> list[Variant]:
+    """Return the parts and reorderings of a solution that were simulated with the same scenario, itself last.
+
+    Args:
+        sources: Where findings are read from.
+        campaign: The campaign.
+        number: The solution.
+
+    Raises:
+        NotFound: The problem has no ordered techniques, or the campaign no such solution.
+    """
+    read = await sources.archives.get(campaign)
+    try:
+        return await sources.analyses.run(
+            lambda: variants_view(read.plan.problem.space, read.archive, number)
+        )
+    except UnsupportedSpace:
+        raise _no_techniques(campaign) from None
+    except KeyError:
+        raise NotFound(f"campaign {campaign.id} has no evaluated solution {number}") from None
+
+
+def _no_techniques(campaign: Campaign) -> NotFound:
+    return NotFound(f"campaign {campaign.id}: problem {campaign.body.problem.id} has no ordered techniques")
 
 
 def combinations_view(

@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 from typing import Final
 
-from brink.search.algorithms.simood import SimoodConfig
 from brink.search.analysis.combinations import combinations, verdicts_by_chain
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
-from brink.server.campaigns import view_store
-from brink.server.findings.combinations.analysis import alphas_of, combinations_view
+from brink.server.findings.combinations.analysis import find_combinations
 from brink.server.findings.combinations.views import ChainTally, Combinations, StepTally
 from brink.server.findings.finding import Finding, Step
 from brink.server.findings.kind import Kind, Listed, Subject
@@ -66,15 +64,7 @@ class CombinationsKind(Kind):
 
     async def find(self, subject: Subject) -> Finding:
         """Return the chains that were simulated, the most informative first."""
-        sources, plan = subject.sources, subject.plan
-        measured = await sources.pages.read(
-            sources.engines, lambda c: view_store.read_measured(c, subject.campaign.id)
-        )
-        config = plan.config if isinstance(plan.config, SimoodConfig) else None
-        space = plan.problem.space
-        view = await sources.analyses.run(
-            lambda: combinations_view(space, subject.read.archive, alphas_of(space, measured), config)
-        )
+        view = await find_combinations(subject.sources, subject.campaign, subject.read)
         return Finding(
             kind=self.id,
             title=self.title,

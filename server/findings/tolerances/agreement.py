@@ -1,5 +1,7 @@
 """Whether fresh drives are as tolerances predict."""
 
+from typing import Final
+
 import numpy as np
 
 from brink.search.streams import Stream, generator
@@ -7,8 +9,51 @@ from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
 from brink.server.errors import InvalidInput
+from brink.server.findings.sources import Sources
 from brink.server.findings.tolerances.analysis import error_words
 from brink.server.findings.tolerances.views import AgreementCell, AgreementView
+
+_FRESH: Final = "/query/fresh"
+
+
+async def find_agreement(
+    sources: Sources, campaign: Campaign, other: Campaign, confidence: float
+) -> AgreementView:
+    """Return whether the drives of another campaign, simulated afresh, are as tolerances predict.
+
+    Args:
+        sources: Where findings are read from.
+        campaign: The campaign with the tolerances.
+        other: The campaign with the fresh drives.
+        confidence: Probability that an interval covers the number of caused violations.
+
+    Raises:
+        InvalidInput: The drives are the same, or cannot be compared.
+    """
+    _check_fresh(campaign, other)
+    plan = (await sources.archives.get(campaign)).plan
+    known, found = [
+        await sources.tolerances.get(one, await sources.archives.get(one)) for one in (campaign, other)
+    ]
+    if found.layout.groups or found.config.fixed != known.config.fixed:
+        raise InvalidInput.at(
+            _FRESH,
+            "expected a campaign that does not screen its drives, such as one with design: random, and with the same "
+            "fixed parameters",
+        )
+    return await sources.analyses.run(lambda: agreement_view(campaign, plan, other, known, found, confidence))
+
+
+def _check_fresh(campaign: Campaign, other: Campaign) -> None:
+    if campaign.id == other.id:
+        raise InvalidInput.at(_FRESH, f"expected another campaign than {campaign.id} itself")
+    if campaign.body.seed == other.body.seed:
+        raise InvalidInput.at(
+            _FRESH,
+            f"expected a campaign with another seed than {campaign.body.seed}: its drives are the same",
+        )
+    if campaign.body.problem != other.body.problem:
+        raise InvalidInput.at(_FRESH, "expected a campaign on the same problem with the same parameters")
 
 
 def agreement_view(
@@ -59,7 +104,7 @@ def agreement_view(
             )
         )
     if not cells:
-        raise InvalidInput.at("/query/fresh", f"campaign {other.id} has no cell in common with {campaign.id}")
+        raise InvalidInput.at(_FRESH, f"campaign {other.id} has no cell in common with {campaign.id}")
     agreeing, drives = sum(cell.agrees for cell in cells), sum(cell.drives for cell in cells)
     return AgreementView(
         campaign=campaign.id,

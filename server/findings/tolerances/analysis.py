@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from brink.search.analysis.confirmation import Share
 from brink.search.curves import Curve, Screening, severities
 from brink.search.odd import with_odd
+from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.detector_check import CellCheck
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
 from brink.server.csv_text import csv_text
 from brink.server.findings.follow_ups import ShareView
+from brink.server.findings.sources import Sources
 from brink.server.findings.tolerances.views import (
     Amount,
     BaselineView,
@@ -37,6 +39,18 @@ EXAMPLES = 5
 
 BASELINE_CONFIDENCE = 0.95
 """Confidence of the intervals of shares without any error."""
+
+
+async def find_tolerance(sources: Sources, campaign: Campaign, read: ReadArchive) -> ToleranceView:
+    """Return the tolerances of a campaign for people and programs.
+
+    Args:
+        sources: Where findings are read from.
+        campaign: The campaign.
+        read: Its archive.
+    """
+    found = await sources.tolerances.get(campaign, read)
+    return await sources.pages.run(lambda: tolerance_view(campaign, read.plan, found))
 
 
 def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> ToleranceView:

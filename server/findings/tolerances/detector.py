@@ -6,10 +6,18 @@ from typing import Final
 
 import numpy as np
 
-from brink.server.campaigns.detector_check import ALL_DRIVES, CellCheck, CheckResult, Drive, check_detector
+from brink.server.campaigns.detector_check import (
+    ALL_DRIVES,
+    CellCheck,
+    CheckResult,
+    Drive,
+    check_detector,
+    read_drives,
+)
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
+from brink.server.findings.sources import Sources
 from brink.server.findings.tolerances.analysis import CellWords
 from brink.server.findings.tolerances.views import DetectorCell, DetectorConditionView, DetectorView
 from brink.server.problems.base import Problem, RatesMeasuredErrors, SeverityScale
@@ -17,6 +25,43 @@ from brink.server.problems.changes import as_sentence
 from brink.sim.urban.detection_errors import Target
 from brink.sim.urban.error_meter import MEASURED
 from brink.sim.verdict import drives_violate
+
+
+async def check_campaign(sources: Sources, campaign: Campaign, other: Campaign) -> DetectorView:
+    """Return whether the detector of another campaign meets the requirement of a campaign.
+
+    Args:
+        sources: Where findings are read from.
+        campaign: The campaign with the tolerances.
+        other: A campaign with a camera and a detector in the loop.
+
+    Raises:
+        InvalidInput: The errors do not fit the campaign.
+    """
+    found = await sources.tolerances.get(campaign, await sources.archives.get(campaign))
+    there = await sources.archives.get(other)
+    drives = await sources.pages.read(sources.engines, lambda c: read_drives(c, other, there, found.layout))
+    name = there.plan.problem.measured_detector or other.body.name
+    return await check_drives(sources, campaign, name, drives)
+
+
+async def check_drives(
+    sources: Sources, campaign: Campaign, name: str, drives: Sequence[Drive]
+) -> DetectorView:
+    """Return whether a detector meets the requirement of a campaign.
+
+    Args:
+        sources: Where findings are read from.
+        campaign: The campaign with the tolerances.
+        name: Name of the detector.
+        drives: Its errors.
+
+    Raises:
+        InvalidInput: The errors do not fit the campaign.
+    """
+    read = await sources.archives.get(campaign)
+    found = await sources.tolerances.get(campaign, read)
+    return await sources.analyses.run(lambda: detector_view(campaign, read.plan, found, name, drives))
 
 
 def detector_view(

@@ -10,7 +10,7 @@ from brink.server.campaigns.store import Campaign
 from brink.server.findings.finding import Finding, Step
 from brink.server.findings.kind import Kind, Listed, Subject
 from brink.server.findings.table import Column, Format, Table
-from brink.server.findings.tolerances.analysis import tolerance_view
+from brink.server.findings.tolerances.analysis import find_tolerance
 from brink.server.findings.tolerances.views import CellView, ToleranceView
 from brink.server.findings.words import counted
 from brink.server.problems.catalogue import ODD, make_problem, problem_type
@@ -34,8 +34,7 @@ class TolerancesKind(Kind):
     async def find(self, subject: Subject) -> Finding:
         """Return the tolerance of each cell."""
         sources, campaign = subject.sources, subject.campaign
-        found = await sources.tolerances.get(campaign, subject.read)
-        view = await sources.pages.run(lambda: tolerance_view(campaign, subject.plan, found))
+        view = await find_tolerance(sources, campaign, subject.read)
         return Finding(
             kind=self.id,
             title=self.title,

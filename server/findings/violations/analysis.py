@@ -5,10 +5,89 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from brink.search.analysis.avoidable import Avoidable, AvoidedBy, avoidable_first, by_words
-from brink.search.analysis.violations import FoundViolation, ViolationType, by_type, is_at_fault
+from brink.search.analysis.avoidable import EXPLANATION, Avoidable, AvoidedBy, avoidable_first, by_words
+from brink.search.analysis.violations import (
+    RULES_VERSION,
+    FoundViolation,
+    ViolationType,
+    by_type,
+    is_at_fault,
+)
 from brink.search.archive import Archive
-from brink.server.findings.violations.views import TypeView, ViolationView
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.store import Campaign
+from brink.server.campaigns.violations import read_violations, set_name
+from brink.server.db.writer import Writer
+from brink.server.errors import NotFound
+from brink.server.findings.sources import Sources
+from brink.server.findings.violations.views import TypeView, Violations, ViolationView
+from brink.server.problems.base import ReportsViolations
+
+
+async def find_violations(
+    sources: Sources, campaign: Campaign, avoidable: Avoidable | None = None, *, types_only: bool = False
+) -> Violations:
+    """Return the violations of a campaign, grouped by type; those that a careful driver would have avoided first.
+
+    Args:
+        sources: Where findings are read from.
+        campaign: The campaign.
+        avoidable: Leave out violations that are not avoidable in this way; None keeps all.
+        types_only: Whether to leave out the violations themselves.
+
+    Raises:
+        NotFound: Its problem does not report violations.
+    """
+    read = await sources.archives.get(campaign)
+    found = await _reported(sources, campaign, read)
+
+    def view() -> Violations:
+        chosen = [one for one in found if avoidable in (None, one.avoidable)]
+        return Violations(
+            rules_version=RULES_VERSION,
+            words=violations_words(found),
+            explanation=EXPLANATION,
+            types=seen_again(violation_types(chosen, found), read.archive),
+            violations=[] if types_only else [violation_view(one) for one in chosen],
+        )
+
+    return await sources.pages.run(view)
+
+
+async def name_violation(
+    sources: Sources, writer: Writer, campaign: Campaign, number: int, requirement: str, name: str | None
+) -> None:
+    """Name a violation, which then belongs to the type of that name.
+
+    Args:
+        sources: Where findings are read from.
+        writer: Writes the name.
+        campaign: The campaign.
+        number: The solution.
+        requirement: The requirement that it violates.
+        name: The name; None removes it, so that the rules assign the type again.
+
+    Raises:
+        NotFound: There is no such violation.
+    """
+    found = await _reported(sources, campaign, await sources.archives.get(campaign))
+    known = [str(one.circumstances["requirement"]) for one in found if one.number == number]
+    if requirement not in known:
+        raise NotFound(
+            f"campaign {campaign.id}: solution {number} has no violation of {requirement[:64]!r}; "
+            f"it has {', '.join(known) or 'none'}"
+        )
+    await writer.write(lambda connection: set_name(connection, campaign.id, number, requirement, name))
+
+
+async def _reported(sources: Sources, campaign: Campaign, read: ReadArchive) -> list[FoundViolation]:
+    problem = read.plan.problem
+    if not isinstance(problem, ReportsViolations):
+        raise NotFound(
+            f"campaign {campaign.id}: violations are sorted into types only where other traffic causes them, as for "
+            f"npc-actions@1, not for {campaign.body.problem.id}; see what it found with: brink report {campaign.id}"
+        )
+    return await sources.pages.read(sources.engines, lambda c: read_violations(c, campaign.id, problem))
 
 
 def violation_types(
