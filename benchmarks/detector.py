@@ -78,7 +78,7 @@ class Step(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observation:
-    """What is in an image, and what the detector found in it.
+    """The content of an image, and the detector's output for it.
 
     Attributes:
         truth: The true boxes.

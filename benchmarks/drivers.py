@@ -36,7 +36,7 @@ class Outcome:
 
 
 def drive(spec: EpisodeSpec) -> Outcome:
-    """Let the system drive, and the reference drivers where it is safe."""
+    """Drive with the system, and with the reference drivers where it is safe."""
     weather = str(spec.scenario["weather"])
     if run_record(spec).unsafe:
         return Outcome(weather=weather, safe=False, hit=frozenset())

@@ -1,4 +1,4 @@
-"""Whether drives with errors that were fitted to a detector violate as often as drives with the detector itself.
+"""Whether drives with errors fitted to a detector violate as often as drives with the detector itself.
 
 Drives with a camera are recorded, with the comparison of each image with the truth, and the errors fitted to them.
 Drives of other seeds are driven with the fitted errors, with the truth, and, unless a campaign has done so, with the
@@ -116,7 +116,7 @@ def is_unsafe(task: tuple[EpisodeSpec, Sequence[str]]) -> bool:
 
 
 class _Recorded(BrinkDriveCamera):
-    """Drives with a camera, and keeps what was measured."""
+    """Drives with a camera, and keeps the measurements."""
 
     def _detector(self, spec: EpisodeSpec) -> InTheLoop:
         self.eyes = InTheLoop(spec)
@@ -124,7 +124,7 @@ class _Recorded(BrinkDriveCamera):
 
 
 def record_drive(task: tuple[EpisodeSpec, Path]) -> dict[str, Any]:
-    """Drive an episode with a camera, unless its file is there; return what was measured."""
+    """Drive an episode with a camera, unless its file exists; return the measurements."""
 
     def driven() -> dict[str, Any]:
         simulator = _Recorded()
@@ -141,7 +141,7 @@ def record_drive(task: tuple[EpisodeSpec, Path]) -> dict[str, Any]:
 
 
 def meter_of(document: Mapping[str, Any]) -> ErrorMeter:
-    """Return the meter of a recorded drive."""
+    """Return the error meter of a recorded drive."""
     meter = ErrorMeter(Camera())
     for time_s, track, kind, is_target, is_visible, label, *rest in document["samples"]:
         meter.samples.append(

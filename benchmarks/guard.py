@@ -1,4 +1,4 @@
-"""How early guards warn on fresh drives of the urban problem: training sets, sensors, and what was never seen.
+"""How early guards warn on fresh drives of the urban problem: training sets, sensors, and unseen kinds of drives.
 
 Every guard is fitted to the same number of drives: random ones, those of a campaign of MLCSHE, those of a campaign of
 edge (with the pairs that it confirms), or a third of each. All are judged on the same fresh random drives, beside the
@@ -285,7 +285,7 @@ class GuardBench:
         return model, time.process_time() - began_s
 
     def _unseen(self, training: Sequence[Drive], fresh: Sequence[Drive], sensor: Sensor) -> Iterator[Judged]:
-        """Yield guards that never saw a kind of drives, and ones that did, on the fresh drives of that kind.
+        """Yield guards that never saw a kind of drives, and guards that did, on the fresh drives of that kind.
 
         Both are fitted to the same number of drives, so that the difference is not one of the amount of data.
         """
@@ -300,7 +300,7 @@ class GuardBench:
                 yield _judged(model, name, what, rest, fit_s)
 
     def _as_many(self, drives: Sequence[Drive], wanted: Sequence[Drive]) -> list[Drive]:
-        """Return some of the drives, with as many violations and as many safe drives as the wanted ones have."""
+        """Return some of the drives, matching the numbers of violations and safe drives of the wanted ones."""
         rng = np.random.default_rng(self._seed)
         chosen: list[int] = []
         for violated in (False, True):
@@ -353,7 +353,7 @@ def _on_unseen_road(drive: Drive) -> bool:
 
 
 def _is_to_report_persons(drive: Drive) -> bool:
-    """Return whether the behaviour has a person in it, whether or not the drive lasts until it is reported."""
+    """Return whether the behaviour reports a person, even if the drive ends before that."""
     return any(one["label"] == "person" for one in json.loads(drive.behaviour)["trajectories"])
 
 

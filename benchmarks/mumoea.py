@@ -278,7 +278,7 @@ def run_search(task: Task) -> SearchRun:
 
 @contextmanager
 def _seeds(problem: NpcActions, config: Any, seed: int) -> Iterator[StandInSeeds | None]:
-    """Yield where seeds come from that a search asks for; None if it asks for none."""
+    """Yield the source of seeds for a search that asks for them; None if it asks for none."""
     if getattr(config, "seeder", None) != "llm":
         yield None
         return
@@ -604,7 +604,7 @@ class Comparison:
 def _draw_counts(
     axes: "Axes", found: Mapping[str, Sequence[Sequence[float]]], ends: Mapping[str, float]
 ) -> None:
-    """Plot how many things each method has found: mean and range over its searches.
+    """Plot how many items each method has found: mean and range over its searches.
 
     Args:
         axes: Where to plot.
@@ -674,7 +674,7 @@ def _of_stand_ins(runs: Sequence[SearchRun]) -> list[Row]:
 
 
 def _of_overlaps(overlaps: Sequence[Overlap]) -> list[Row]:
-    """Return which share of other methods' types muMOEA finds too, and the reverse; overlap.csv has all pairs."""
+    """Return the share of other methods' types that muMOEA also finds, and the reverse; overlap.csv has all pairs."""
     return [
         Row(
             what=f"share of types of {one.method} that {one.other} found too",
@@ -689,7 +689,7 @@ def _of_overlaps(overlaps: Sequence[Overlap]) -> list[Row]:
 
 
 def _reference_costs(by_method: Mapping[str, Sequence[SearchRun]]) -> list[Row]:
-    """Return the share of simulation time that drives of reference drivers take, for every method."""
+    """Return the share of simulation time spent on drives of reference drivers, for every method."""
     rows = []
     for method, runs in by_method.items():
         reference_s, cpu_s = (

@@ -46,7 +46,7 @@ PAIRS = {"eps": 0.001, "d_th": 0.01}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup:
-    """What is measured.
+    """A configuration to measure.
 
     Attributes:
         workers: Number of workers.
@@ -320,7 +320,7 @@ class _SimulatedWorkers:
 
 
 def model_turns(seeds: int = 20) -> Iterator[Row]:
-    """Model `TARGET_WORKERS` workers without a coordinator: they lose time only while generations end (ADR 32).
+    """Model `TARGET_WORKERS` workers without a coordinator: they lose time only at the ends of generations (ADR 32).
 
     Args:
         seeds: Number of runs whose mean is taken.

@@ -122,7 +122,7 @@ class Hazards(Criteria):
         return [*rows, *map(self._at_threshold, THRESHOLDS)]
 
     def _at_threshold(self, threshold: float) -> Row:
-        """Count clean drives that are not safe at a threshold of the detector, in places used for nothing else."""
+        """Count unsafe clean drives at a threshold of the detector, in places used for nothing else."""
         places = Places(replace(self._params, threshold=threshold))
         records = self._run(f"A0 threshold {threshold:g}", [places.episode(place) for place in OTHER_PLACES])
         accidents, stops = (_violations(records, name) for name in (ACCIDENT, DANGEROUS_STOP))
@@ -239,7 +239,7 @@ def _equal(what: str, value: int, target: int, note: str) -> Row:
 
 
 def _works(chain: NamedChain, picture: Picture) -> bool:
-    """Return whether a chain changes an image, and changes it in the same way when it is applied again."""
+    """Return whether a chain changes an image, and does so reproducibly."""
     perturbations = tuple(Perturbation(gene, level) for gene, level in chain)
     first, second = (Pipeline(perturbations, seed=0)(picture, 0) for _ in range(2))
     return not np.array_equal(first, picture) and np.array_equal(first, second)

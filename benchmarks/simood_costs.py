@@ -1,4 +1,4 @@
-"""The SiMOOD criteria A7 and A8: what a search on a data set saves, and what perturbations cost."""
+"""The SiMOOD criteria A7 and A8: the saving of a search on a data set, and the cost of perturbations."""
 
 import itertools
 import statistics
@@ -112,7 +112,7 @@ def time_rows(pictures: int, times: Times, measured: int, episodes: int) -> list
 
 
 def _ratio(what: str, times: Times, evaluated: int, simulated: int) -> Row:
-    """Return by how much a search and some episodes after it are faster than the same search in episodes."""
+    """Return the speed-up of a search followed by some episodes over the same search in episodes."""
     in_episodes_s, on_data_s = evaluated * times.episode_s, times.on_data_s(evaluated, simulated)
     return Row(
         what=f"A7 {what}, times faster",
@@ -139,7 +139,7 @@ def _campaign_row(on: str, times: Times, measured: int, episodes: int) -> Row:
 
 
 class Costs(Criteria):
-    """A7 and A8: what a search on the data set saves, and what perturbations cost in time and memory.
+    """A7 and A8: the saving of a search on the data set, and the cost of perturbations in time and memory.
 
     Args:
         records: Runs episodes and stores their outcomes.

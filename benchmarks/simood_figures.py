@@ -27,7 +27,7 @@ def is_only_together(chain: NamedChain, share: float, parts: Mapping[NamedChain,
 
 
 def draw_pairs(together: Mapping[NamedChain, float], parts: Mapping[NamedChain, float], path: Path) -> None:
-    """Draw in how many streets each ordered pair of perturbations is unsafe, beside what each is alone.
+    """Draw in how many streets each ordered pair of perturbations is unsafe, beside each perturbation alone.
 
     Args:
         together: Share of the streets in which each simulated pair is unsafe.

@@ -1,4 +1,4 @@
-"""What the SiMOOD criteria have in common: chains, reproducible streets, and tables of what was run in them."""
+"""Shared by the SiMOOD criteria: chains, reproducible streets, and tables of results in them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -94,7 +94,7 @@ class Criteria:
 
 
 def words_of(chain: NamedChain) -> str:
-    """Return a chain in words, without what has no effect."""
+    """Return a chain in words, without steps that have no effect."""
     steps = (
         f"{gene.replace('_', ' ')} {level}/{CATALOGUE[gene].levels - 1}" for gene, level in chain if level
     )

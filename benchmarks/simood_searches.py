@@ -1,4 +1,4 @@
-"""The SiMOOD criteria A5, A6 and A9: searches on the data set, and what their finalists owe to interaction.
+"""The SiMOOD criteria A5, A6 and A9: searches on the data set, and how far their finalists depend on interaction.
 
 Every search is one of `simood-ga@1` itself, without a coordinator: it chooses and explains its finalists, too. The
 scenarios that it asks for are replaced by numbered streets that all searches share, so that criteria share episodes.
@@ -497,7 +497,7 @@ class Searches(Criteria):
     def _search(
         self, part: str, searches: Sequence[Search], stages: Sequence[Stage] = (Stage.SEARCH, Stage.PARTS)
     ) -> list[SimoodState]:
-        """Run searches until they have finished with some stages; return their states."""
+        """Run searches until they have finished some stages; return their states."""
         total = sum(search.limit for search in searches)
         for search in searches:
             search.start(self._places.problem.space)
@@ -536,7 +536,7 @@ class Searches(Criteria):
 
 
 def _tabulated(generations: int, population: int, runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return a cell of tables II and III: the spread of what was counted over its runs."""
+    """Return a cell of tables II and III: the spread of a count over its runs."""
     cell = [run for run in runs if (run["generations"], run["population"]) == (generations, population)]
     row: dict[str, Any] = {"generations": generations, "population": population, "searches": len(cell)}
     for name in ("unique_genes", "hazards", "mean_f"):

@@ -1,4 +1,4 @@
-"""A plug-in that stalls where it is told to, for `benchmarks.stalls`, which copies it to a folder of its own.
+"""A plug-in that stalls on demand, for `benchmarks.stalls`, which copies it to a folder of its own.
 
 There, it is what a user's plug-in is to the coordinator: a module outside Brink, named in ``BRINK_PLUGINS``. A fault
 happens only while the file that the campaign names exists: so a campaign can be submitted before its code stalls.

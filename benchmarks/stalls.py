@@ -1,4 +1,4 @@
-"""What one stalling campaign or costly request does to everybody else.
+"""The effect of one stalling campaign or costly request on all others.
 
 A coordinator serves five *probes*, each over a connection of its own: a request of ``/healthz``, a heartbeat, a
 report with the next lease, the submission of a campaign, and a whole small search. They are timed while nothing else
@@ -122,13 +122,13 @@ class Latency:
 
     @property
     def ratio(self) -> float:
-        """The worst time beside the disturbance relative to that before it."""
+        """The worst time during the disturbance relative to that before it."""
         return self.worst_ms / self.idle_ms
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stalled:
-    """What a disturbance did.
+    """The effect of a disturbance.
 
     Attributes:
         latencies: The times of each probe.
@@ -222,7 +222,7 @@ class _Times:
         self.failed: dict[str, int] = dict.fromkeys(PROBES, 0)
 
     def beside(self, disturbed: "_Times") -> Iterator[Latency]:
-        """Return the figures of each probe: these times are those before a disturbance."""
+        """Return the figures of each probe, taking these times as the baseline."""
         for probe in PROBES:
             idle_s, busy_s = (times.seconds[probe] or [GIVE_UP_S] for times in (self, disturbed))
             yield Latency(
@@ -246,7 +246,7 @@ class _Trial:
     async def run(
         self, disturbance: Disturbance, idle_s: float, seconds: float
     ) -> tuple[tuple[Latency, ...], str, float | None]:
-        """Time the probes before and beside a disturbance.
+        """Time the probes before and during a disturbance.
 
         Returns:
             Their times, and what became of the disturbance's first campaign: its status, and how long it took to
@@ -269,7 +269,7 @@ class _Trial:
         return tuple(before.beside(beside)), fate, cancel_s
 
     async def _time(self, seconds: float) -> _Times:
-        """Return the times of the requests from now on: for some seconds, and until each probe has an answer."""
+        """Return the times of the requests from now on: for some seconds, and until each probe has a response."""
         self._times = times = _Times()
         await asyncio.sleep(seconds)
         deadline = time.monotonic() + GIVE_UP_S
@@ -301,7 +301,7 @@ class _Trial:
                     raise ended
 
     async def _repeat(self, probe: str, request: Callable[[], Awaitable[bool]]) -> None:
-        """Send a request again and again, and note its times."""
+        """Send a request again and again, and record its times."""
         while True:
             times, began = self._times, time.perf_counter()
             try:
@@ -416,7 +416,7 @@ def stalling_campaign(
 
 
 def arm(folder: Path) -> None:
-    """Have the plug-in of a trial stall from now on."""
+    """Make the plug-in of a trial stall from now on."""
     (folder / "armed").touch()
 
 
@@ -490,7 +490,7 @@ async def _fill_archive(stage: Stage) -> None:
 
 
 def _reads(name: str, *paths: str) -> Disturbance:
-    """Return the disturbance by several people who read a large archive again and again."""
+    """Return the disturbance by several clients that read a large archive again and again."""
 
     async def disturb(stage: Stage) -> None:
         async def read(path: str) -> None:

@@ -43,7 +43,7 @@ _KNOWN: Final = "# Known solutions"
 
 
 def answer(request: Mapping[str, Any], road: RoadLimits, max_participants: int) -> str:
-    """Return the text of the answer to a prompt: patterns, prolonged by random actions if known ones are shown.
+    """Return the reply to a prompt: patterns, extended by random actions if known ones are shown.
 
     Args:
         request: The body of a chat completion request, whose last message asks for a number of solutions.
@@ -128,12 +128,12 @@ class _Calls:
         return spent_on(self._calls.values())
 
     def breaker(self) -> Breaker:
-        """Return a circuit breaker that never opens: the stand-in is there while it is asked."""
+        """Return a circuit breaker that never opens: the stand-in is always available."""
         return Breaker()
 
 
 class StandInSeeds:
-    """Seeds for one search, asked for as a coordinator does, but without a database.
+    """Seeds for one search, requested as a coordinator does, but without a database.
 
     Args:
         problem: The problem of the search.

@@ -41,7 +41,7 @@ def check_members(archive: zipfile.ZipFile, size: int, most_bytes: int) -> None:
 
 
 def read_exactly(file: IO[bytes], size: int) -> bytes:
-    """Read so many bytes in pieces.
+    """Read a number of bytes in pieces.
 
     Raises:
         ValueError: There are fewer.

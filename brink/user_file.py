@@ -1,4 +1,4 @@
-"""Reads files that users name: regular files alone, and never more of them than a limit.
+"""Reads files that users name: only regular files, and at most a limited number of bytes.
 
 Opening a pipe that nobody writes to waits for ever, a device has no end, and a file can grow after its size was
 looked at. So a file is opened without waiting, its kind is that of what was opened, and at most the limit is read.
@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 
 def open_file(path: str | Path) -> BinaryIO:
-    """Open a regular file for reading, without ever waiting for it.
+    """Open a regular file for reading, without ever blocking.
 
     Raises:
         OSError: There is no such file, it cannot be read, or it is no regular file.

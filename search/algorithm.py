@@ -317,7 +317,7 @@ def _can_ask(algorithm: Algorithm[C, S], state: S) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Known:
-    """What is known before a search starts; all arrays are read-only.
+    """Prior knowledge of a search; all arrays are read-only.
 
     Attributes:
         rows: Solutions with a known result, shape ``(k, d)``; one that was simulated several times appears as often.
@@ -344,7 +344,7 @@ class Known:
 
     @classmethod
     def nothing(cls, dimension: int) -> Self:
-        """Return the knowledge of a search that starts from nothing, for solutions of `dimension` numbers."""
+        """Return empty prior knowledge, for solutions of `dimension` numbers."""
         none, empty = np.empty((0, dimension)), np.empty(0)
         return cls(rows=none, unsafe=empty.astype(np.bool_), robustness=empty, points=none)
 
@@ -358,7 +358,7 @@ class Known:
 
 
 def nearest_to_boundary(unsafe: BoolArray, robustness: FloatArray) -> IntArray:
-    """Return the positions of results by the size of their robustness, the two verdicts in turn, shape ``(n,)``.
+    """Return the positions of results by absolute robustness, alternating between verdicts, shape ``(n,)``.
 
     In turn, because few results of one verdict may all be further away than many of the other.
 
@@ -376,12 +376,12 @@ def nearest_to_boundary(unsafe: BoolArray, robustness: FloatArray) -> IntArray:
 
 @runtime_checkable
 class WarmStarts(Protocol[C_contra, S_co]):
-    """An algorithm that may start from what is known already."""
+    """An algorithm that can start from prior knowledge."""
 
     def start_with(
         self, space: SearchSpace, config: C_contra, *, seed: int, budget: int, known: Known
     ) -> S_co:
-        """Return the initial state, as `Algorithm.start` does, of a search that starts from what is known.
+        """Return the initial state, as `Algorithm.start` does, of a search with prior knowledge.
 
         Its first candidates are the known points. The known results may guide the search, but do not count against
         the budget. Its documents contain what is known, so that `Algorithm.load` restores the state as usual.

@@ -145,7 +145,7 @@ def _step(middle: NDArray[np.floating], scale: NDArray[np.floating]) -> NDArray[
 
 
 def scaled(curves: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return curves that end at 1, for the grossest error in the drives that are vulnerable to it."""
+    """Return curves that end at 1, for the most severe error in the drives that are vulnerable to it."""
     return np.asarray(np.minimum(curves / np.maximum(curves[:, -1:], 1e-6), 1.0))
 
 
@@ -218,13 +218,13 @@ class Interval:
 
     @property
     def width(self) -> float:
-        """Width of an interval of severities; what lies beyond the scale counts as `BEYOND`."""
+        """Width of an interval of severities; severities beyond the scale count as `BEYOND`."""
         return min(self.high, BEYOND) - min(self.low, BEYOND)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fall:
-    """A stretch of severity over which more error is safer.
+    """A range of severities over which a larger error is safer.
 
     Attributes:
         from_severity: Where the share is highest.
@@ -241,7 +241,7 @@ class Fall:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Curve:
-    """What is known of one cell.
+    """Estimates for one cell.
 
     Attributes:
         drives: Drives with a verdict by level, for the levels 1 to `LEVELS`, shape ``(LEVELS,)``.
@@ -280,7 +280,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriveShares:
-    """The share of drives with a caused violation that the errors of a detector lead to, from some of its drives.
+    """The share of drives with a violation caused by a detector's errors, estimated from some of its drives.
 
     Ends of intervals are those of Gaffke for the mean of a bounded quantity, whatever its distribution: as in a
     Bayesian bootstrap, with one more drive that surely violates (or surely does not). They are those of Clopper and
@@ -387,7 +387,7 @@ def flawless_drives(limit: float, confidence: float) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Screening:
-    """How often the grossest error causes a violation, and how far that covers milder errors.
+    """How often the most severe error causes a violation, and how far that covers milder errors.
 
     Drives that hold with the grossest error *leak* if they violate with a milder one. Their share is taken to grow in
     proportion to severity. It is estimated from the audits of the group alone, each of which tells as much as its
@@ -418,7 +418,7 @@ class Screening:
 
     @property
     def exposure(self) -> float:
-        """The sum of the severities of all audits: as many audits at severity 1 would tell as much."""
+        """The sum of the severities of all audits, which is equivalent to that many audits at severity 1."""
         return 0.0 if self.audits is None else float(self.audits @ severities()[1:])
 
     @property

@@ -35,7 +35,7 @@ _CURRENT: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
 
 @contextmanager
 def time_limit(deadline: Deadline) -> Iterator[None]:
-    """Limit what is computed in this block, in place of a limit around it."""
+    """Limit the time of this block, in place of any enclosing limit."""
     token = _CURRENT.set(deadline)
     try:
         yield

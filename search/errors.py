@@ -66,7 +66,7 @@ class OtherVersion(DocumentError):
 
 
 class TooManyPairs(SearchError):
-    """An archive holds more pairs than are looked at.
+    """An archive holds more pairs than can be analysed.
 
     Attributes:
         setting: Name of the setting to change, ``eps`` or ``d_th``.

@@ -112,13 +112,13 @@ def odd_words(space: SearchSpace) -> str:
 
 
 def odd_sentence(space: SearchSpace) -> str:
-    """Return what results in a space hold for, in sentences; empty without an ODD."""
+    """Return sentences that state the ODD to which results in a space apply; empty without an ODD."""
     words = odd_words(space)
     return f"All of this is within the ODD: {words}. Nothing outside it was simulated." if words else ""
 
 
 def with_odd(words: str, space: SearchSpace) -> str:
-    """Return sentences about results in a space, followed by what they hold for; without an ODD, as they are."""
+    """Return sentences about results in a space, followed by the ODD to which they apply, if there is one."""
     return " ".join(filter(None, (words, odd_sentence(space))))
 
 

@@ -391,7 +391,7 @@ Parameter: TypeAlias = Real | Integer | Categorical
 
 
 def parameter_title(component: str, parameter: Parameter) -> str:
-    """Return what people read in place of a parameter's full name: its title, or else its full name in words."""
+    """Return a parameter's display name: its title, or else its full name in words."""
     return parameter.title or name_in_words(f"{component}.{parameter.name}")
 
 
@@ -483,11 +483,11 @@ class _Pair:
             )
 
     def unlimited_names(self) -> tuple[str, ...]:
-        """Return nothing: an ODD may limit both numbers."""
+        """Return no names: an ODD may limit both numbers."""
         return ()
 
     def checks_limits(self) -> bool:
-        """Return that the parameters check their limits themselves."""
+        """Return False: the parameters check their own limits."""
         return False
 
     def _limit(self, values: Values, parameters: Mapping[str, Parameter]) -> None:

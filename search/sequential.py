@@ -39,7 +39,7 @@ INTERVAL: Final = 0.9
 
 
 class Verdict(StrEnum):
-    """What drives with other seeds say of a verdict."""
+    """The conclusion on a verdict from drives with other seeds."""
 
     HOLDS = "holds"
     REFUTED = "refuted"
@@ -47,12 +47,12 @@ class Verdict(StrEnum):
 
 
 def drives_to_confirm(other: int) -> int:
-    """Return how many drives confirm a verdict, of which `other` had the other one."""
+    """Return how many drives confirm a verdict if `other` of them disagree with it."""
     return FIRST + FURTHER * other
 
 
 def verdict_of(other: int, evaluated: int, failed: int = 0) -> Verdict:
-    """Return what drives with other seeds say of a verdict.
+    """Return the conclusion on a verdict from drives with other seeds.
 
     Args:
         other: Drives with the other verdict.
@@ -75,7 +75,7 @@ def verdict_of(other: int, evaluated: int, failed: int = 0) -> Verdict:
 
 
 def exact_interval(count: int, of: int, confidence: float = INTERVAL) -> tuple[float, float]:
-    """Return the exact (Clopper-Pearson) interval of a share; 0 to 1 of nothing.
+    """Return the exact (Clopper-Pearson) interval of a share; [0, 1] without trials.
 
     Exact for a number of drives that does not depend on their verdicts.
 

@@ -44,7 +44,7 @@ def effective_size(log_weights: FloatArray) -> float:
 
 
 def resampled(log_weights: FloatArray, count: int) -> IntArray:
-    """Return the places of draws that stand for weighted ones, evenly spaced in their order, shape ``(count,)``.
+    """Return the indices of draws that represent weighted ones (systematic resampling), shape ``(count,)``.
 
     Args:
         log_weights: Logarithms of the weights, up to a constant, shape ``(n,)``.
@@ -84,7 +84,7 @@ def posterior_draws(
 
 
 def _raised(values: FloatArray, power: float, least: float) -> float:
-    """Return the highest power, at most 1, to which enough draws of one power still count."""
+    """Return the highest power, at most 1, at which the effective sample size is still large enough."""
     low, high = power, 1.0
     if effective_size((high - power) * values) >= least:
         return high

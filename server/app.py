@@ -319,7 +319,7 @@ def _context(
 
 
 def _watch(metrics: Metrics, scheduler: Scheduler) -> None:
-    """Add to the metrics what has to be asked for: what is in memory, and what does not move."""
+    """Add the metrics that are polled: what is in memory, and stalled work."""
     metrics.watch(
         "brink_plugin_calls_stalled",
         "Calls of plug-ins' code that exceeded their time limit and still run",

@@ -1,4 +1,4 @@
-"""The one place that writes CSV. Spreadsheets run a cell that begins like a formula, and cells come from others.
+"""The one place that writes CSV: spreadsheets execute cells that look like formulas, and cells hold untrusted text.
 
 Names, plug-ins' choices, and what workers report as features and provenance can be any text. A cell of text that
 begins with one of `FORMULA_STARTS` gets an apostrophe in front, which spreadsheets read as "this is text". Numbers
@@ -18,14 +18,14 @@ _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?%?|[+-](inf|n
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:
-    """Return rows as CSV, the header among them."""
+    """Return rows, including the header, as CSV."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([as_text(cell) for cell in row] for row in rows)
     return text.getvalue()
 
 
 def as_text(cell: object) -> object:
-    """Return a cell that no spreadsheet takes for a formula."""
+    """Return a cell that no spreadsheet interprets as a formula."""
     if cell is None or isinstance(cell, bool | int | float):
         return cell
     # The csv module would not quote a return.

@@ -109,7 +109,7 @@ def _unreadable(path: Path, reason: str) -> InvalidInput:
 
 @contextmanager
 def errors_in_file(path: Path) -> Iterator[None]:
-    """Say where in a YAML file the fields are that an error points to.
+    """Locate in a YAML file the fields to which an error refers.
 
     Args:
         path: The file that was read.
@@ -124,7 +124,7 @@ def errors_in_file(path: Path) -> Iterator[None]:
 
 
 def placed_in_file(errors: Iterable[FieldError], path: Path) -> list[FieldError]:
-    """Return errors with the places in a YAML file of the fields that they point to.
+    """Return errors with the positions in a YAML file of their fields.
 
     Args:
         errors: The errors; those that have a place, or are about no field of a document, stay as they are.
@@ -148,7 +148,7 @@ def _nodes(path: Path) -> yaml.Node | None:
 
 
 def _place(error: FieldError, path: Path, root: yaml.Node | None) -> str:
-    """Return the file, the line and the name of a field; the line of what should contain it if it is missing."""
+    """Return the file, the line and the name of a field; the line of its parent if the field is missing."""
     parts = [part.replace("~1", "/").replace("~0", "~") for part in error.pointer.split("/")[1:] if part]
     line, name, node = None, "", root
     for part in parts:
@@ -164,7 +164,7 @@ def _place(error: FieldError, path: Path, root: yaml.Node | None) -> str:
 
 
 def _child(node: yaml.Node | None, part: str) -> tuple[yaml.Mark | None, yaml.Node | None]:
-    """Return where a part of a document begins, and the part; None if it is not there."""
+    """Return the start of a part of a document, and the part; None if it is missing."""
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             if isinstance(key, yaml.ScalarNode) and key.value == part:
@@ -195,7 +195,7 @@ def parse_yaml(text: str, *, max_values: int = MAX_VALUES) -> object:
 
 
 class _Loader(yaml.SafeLoader):
-    """A YAML loader that rejects what would be misread, or would not fit into memory.
+    """A YAML loader that rejects ambiguous or oversized input.
 
     These are duplicate keys, of which YAML would silently use the last, and aliases of aliases, with which a few
     lines stand for billions of values. Every scalar that cannot be read is a `yaml.YAMLError` with its place: PyYAML
@@ -264,7 +264,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def _count_values(node: yaml.Node, endless: int, known: dict[yaml.Node, int]) -> int:
-    """Return the number of values of a node, counting each alias as what it stands for.
+    """Return the number of values of a node, counting each alias as its target.
 
     Args:
         node: The node.
@@ -357,7 +357,7 @@ def _field_error(item: Any, model: type[BaseModel], prefix: str) -> FieldError:
 
 
 def _shown(value: object) -> str:
-    """Return a value for a message, without writing out all of a large one."""
+    """Return a value for a message, truncating a large one."""
     large = isinstance(value, dict | list | str) and len(value) > LONGEST_SHOWN
     return (reprlib.repr(value) if large else repr(value))[:LONGEST_SHOWN]
 

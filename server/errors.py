@@ -54,7 +54,7 @@ class FieldError:
     place: str = ""
 
     def __post_init__(self) -> None:
-        """Cut what quotes very long input, so that an answer is not larger than the request."""
+        """Truncate quotations of very long input, so that a response is not larger than the request."""
         object.__setattr__(self, "pointer", _cut(self.pointer, LONGEST_POINTER))
         object.__setattr__(self, "message", _cut(self.message, LONGEST_MESSAGE))
 
@@ -126,7 +126,7 @@ class NoWorker(Unavailable):
 
 
 class TooCostly(Unavailable):
-    """A read took longer than one may take. The same again may be faster later; a smaller one is."""
+    """A read exceeded its time limit. Retrying may be faster later; a smaller read is."""
 
 
 class DatabaseError(ServerError):

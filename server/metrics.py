@@ -45,5 +45,5 @@ class Metrics:
         )
 
     def watch(self, name: str, about: str, value: Callable[[], float]) -> None:
-        """Report a value that is asked for whenever the metrics are read."""
+        """Register a value that is polled whenever the metrics are read."""
         Gauge(name, about, registry=self.registry).set_function(value)

@@ -103,7 +103,7 @@ class ReadThreads(ThreadPoolExecutor):
         return await asyncio.get_running_loop().run_in_executor(self, compute)
 
     async def read(self, engines: Engines, query: Callable[[Connection], T]) -> T:
-        """Return what a query returns that takes long, or whose rows take long to decode; see `run`."""
+        """Return the result of a query that is slow, or whose rows are slow to decode; see `run`."""
 
         def look() -> T:
             with engines.reader.connect() as connection:

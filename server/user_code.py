@@ -1,4 +1,4 @@
-"""Calls code that a user brought: on threads of its own, and for a limited time.
+"""Calls user code, on threads of its own and for a limited time.
 
 Such code may sleep, hang or compute without end. While a coordinator serves, each call of it runs on a daemon thread,
 and its caller waits no longer than its time limit. A call that takes longer is abandoned: the caller gets
@@ -57,11 +57,11 @@ log = logging.getLogger(__name__)
 
 
 class CodeStalled(Unavailable):
-    """Code that a user brought did not return in time, or is refused because earlier calls have not returned."""
+    """User code did not return in time, or is refused because earlier calls have not returned."""
 
 
 class CodeExited(Exception):
-    """Code that a user brought tried to end the process."""
+    """User code tried to end the process."""
 
 
 class _Abandoned(BaseException):
@@ -70,7 +70,7 @@ class _Abandoned(BaseException):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Caller:
-    """On whose behalf code is called.
+    """The caller on whose behalf code is called.
 
     Attributes:
         name: Whom stalled calls are counted for: a campaign, or the plug-in for requests.
@@ -118,7 +118,7 @@ class Serving:
 
 
 class _Call:
-    """One call, and its answer for whoever waits.
+    """One call, and its result for whoever waits.
 
     Attributes:
         answer: What it returned or raised, or why nobody waits any more.
@@ -142,7 +142,7 @@ class _Call:
         return self.answer.result(limit_s)
 
     def run(self) -> None:
-        """Call the function; nobody may wait for its answer any more."""
+        """Call the function, even if nobody waits for its result any more."""
         with suppress(InvalidStateError):
             try:
                 result = self._function()
@@ -199,7 +199,7 @@ class UserCode:
         return serving
 
     def stop(self, serving: Serving) -> None:
-        """Have nobody wait for user code any more, because a coordinator is stopping."""
+        """Stop waiting for user code, because a coordinator is stopping."""
         with self._lock:
             serving.stopping = True
             waiting = list(self._waiting.items())
@@ -213,7 +213,7 @@ class UserCode:
 
     @contextmanager
     def on_behalf(self, name: str, *, at_once: int | None = None) -> Iterator[None]:
-        """Have this thread wait for its calls as long as the coordinator's limit says, until the end of the block.
+        """Limit the calls of this thread by the coordinator's time limit, until the end of the block.
 
         Args:
             name: Whom stalled calls are counted for.
@@ -280,11 +280,11 @@ class UserCode:
 
     @property
     def is_full(self) -> bool:
-        """Whether so many calls are stalled that no further one is made."""
+        """Whether too many calls are stalled to make another one."""
         return len(self.stalled()) >= MOST_STALLED_IN_ALL
 
     def keep(self, thread: _CallThread) -> bool:
-        """Return whether a thread that has done its call is kept for another one."""
+        """Return whether to keep a thread that has finished its call for another one."""
         with self._lock:
             if thread.abandoned or len(self._idle) >= KEPT_THREADS:
                 return False
@@ -352,7 +352,7 @@ class UserCode:
         return thread
 
     def _abandon(self, call: _Call, thread: _CallThread, error: Exception, left_s: float) -> bool:
-        """Answer a call with an error, unless it has just returned; return whether it was abandoned.
+        """Resolve a call with an error, unless it has just returned; return whether it was abandoned.
 
         Args:
             call: The call.
@@ -383,7 +383,7 @@ class UserCode:
 
 
 def _end(thread: _CallThread, left_s: float) -> None:
-    """Raise an exception in a thread until it has ended: code that waits in a system call sees it only afterwards.
+    """Raise an exception in a thread until it has ended: a thread in a system call sees it only afterwards.
 
     Args:
         thread: The thread.
@@ -402,7 +402,7 @@ USER_CODE: Final = UserCode()
 
 
 def guarded(plugin: str, thing: T) -> T:
-    """Make the methods and properties of a plug-in's object calls of user code; return it.
+    """Wrap a plug-in's object so that its methods and properties become calls of user code; return it.
 
     It gets a subclass of its own class, so it is still an instance of every class and protocol that it was before.
 
@@ -419,12 +419,12 @@ def guarded(plugin: str, thing: T) -> T:
 
 
 def is_guarded(thing: object) -> bool:
-    """Return whether an object is that of a plug-in, made safe by `guarded`."""
+    """Return whether an object is a plug-in's, wrapped by `guarded`."""
     return isinstance(thing, _Guarded)
 
 
 def guarded_like(other: object, thing: T) -> T:
-    """Guard an object that a guarded one returned, and which is code of the same plug-in; return it."""
+    """Guard an object that a guarded one returned and that belongs to the same plug-in; return it."""
     return guarded(other.guarded_by, thing) if isinstance(other, _Guarded) else thing
 
 
@@ -457,7 +457,7 @@ def _guarded_class(kind: type[Any], plugin: str) -> type[Any]:
 
 
 def _limited_attribute(kind: type[Any], name: str, plugin: str) -> Any:
-    """Return what replaces an attribute of a class; None if it is no code."""
+    """Return the replacement for an attribute of a class; None if it is not code."""
     found = next(one.__dict__[name] for one in kind.__mro__ if name in one.__dict__)
     if isinstance(found, FunctionType):
 

@@ -43,7 +43,7 @@ class ViolatedView(View):
 
 
 class ActivityView(View):
-    """Which parameters had a part in the episode of a solution, and the values that they had there."""
+    """Which parameters were active in the episode of a solution, and the values that they had there."""
 
     inactive: Annotated[
         list[str],

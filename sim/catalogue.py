@@ -222,13 +222,13 @@ def _foreign_points(group: str) -> tuple[str, ...]:
 
 
 def with_sources(spec: EpisodeSpec) -> EpisodeSpec:
-    """Return an episode that also says which source the plug-ins have that it names."""
+    """Return an episode that also records the source digests of the plug-ins it names."""
     sources = named_sources(spec.to_json())
     return replace(spec, sources=sources) if sources else spec
 
 
 def other_source(sources: Mapping[str, str]) -> str | None:
-    """Return why an episode cannot run here with the sources that it was specified with, or None if it can.
+    """Return why an episode cannot run here with its recorded plug-in sources, or None if it can.
 
     Args:
         sources: Digests as `named_sources` returns them.
@@ -318,7 +318,7 @@ def worker_kind(simulator_id: str) -> str:
 
 
 def worker_for(simulator_id: str) -> str:
-    """Return in words what kind of worker can run a simulator, such as "a worker with the extra sumo (sumo@1)".
+    """Describe the kind of worker that can run a simulator, such as "a worker with the extra sumo (sumo@1)".
 
     Args:
         simulator_id: Id of the simulator, which need not be known here.
@@ -333,7 +333,7 @@ def worker_for(simulator_id: str) -> str:
 
 
 def start_words(simulator_id: str, server: str, program: str = "brink") -> str:
-    """Return in words how to start what can run a simulator.
+    """Describe how to start a worker that can run a simulator.
 
     Args:
         simulator_id: Id of the simulator, which need not be known here.
@@ -365,7 +365,7 @@ def requirement_ids() -> tuple[str, ...]:
 
 
 def requirement_words(requirement_id: str) -> str:
-    """Return what a registered requirement asks, in words: the first line of the documentation of its class."""
+    """Describe a registered requirement: the first line of its class's docstring."""
     line, *_ = (inspect.getdoc(load_plugin(REQUIREMENTS, requirement_id)) or "").splitlines() or [""]
     words = re.sub(r"^`[^`]*`: ", "", line)
     return words[:1].upper() + words[1:]

@@ -1,4 +1,4 @@
-"""What errors of perception have in common, whichever simulator they occur in."""
+"""Magnitudes of perception errors, shared by all simulators."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -32,16 +32,16 @@ class Magnitude:
         return self.none + severity * (self.most - self.none)
 
     def severity(self, magnitude: float) -> float:
-        """Return the severity of a magnitude, which is above 1 beyond the grossest that is studied."""
+        """Return the severity of a magnitude; above 1 beyond the studied range."""
         return max((magnitude - self.none) / (self.most - self.none), 0.0)
 
     @property
     def shown_unit(self) -> str:
-        """The unit in which people are shown the magnitude."""
+        """The unit in which the magnitude is displayed."""
         return "%" if self.unit == "share" else self.unit
 
     def number(self, magnitude: float) -> float:
-        """Return a magnitude in the unit in which people are shown it."""
+        """Return a magnitude in the displayed unit."""
         return 100.0 * magnitude if self.unit == "share" else magnitude
 
     def words(self, magnitude: float) -> str:

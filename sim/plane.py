@@ -91,7 +91,7 @@ class Rectangle(NamedTuple):
 
 
 def half_extents_m(length_m: float, width_m: float, turn_rad: float) -> tuple[float, float]:
-    """Return half of what a turned rectangle takes up along and across the direction from which it is turned."""
+    """Return half the extent of a rotated rectangle along and across the unrotated direction."""
     cosine, sine = abs(math.cos(turn_rad)), abs(math.sin(turn_rad))
     return 0.5 * (length_m * cosine + width_m * sine), 0.5 * (length_m * sine + width_m * cosine)
 
@@ -136,7 +136,7 @@ def clearance_m(one: Sequence[Point], other: Sequence[Point]) -> float:
 
 
 def overlaps(one: Sequence[Point], other: Sequence[Point]) -> bool:
-    """Return whether two convex outlines have a point in common."""
+    """Return whether two convex outlines intersect."""
     return not (_separated(one, other) or _separated(other, one))
 
 

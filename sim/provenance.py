@@ -1,4 +1,4 @@
-"""What a simulator says of itself: the header of a trace, and the provenance of a result."""
+"""A simulator's metadata: the header of a trace and the provenance of a result."""
 
 import json
 import math
@@ -30,7 +30,7 @@ def versions_with(*packages: str) -> Mapping[str, str]:
 def trace_header(
     spec: EpisodeSpec, verdicts: Mapping[str, Verdict], versions: Mapping[str, str]
 ) -> JsonObject:
-    """Return what every trace says about its episode: what it was, and when requirements were first violated.
+    """Return the header of every trace: the episode's specification and the time of each first violation.
 
     Args:
         spec: The specification.

@@ -1,4 +1,4 @@
-"""What code a plug-in is: the digest of its source.
+"""The identity of a plug-in's code: the digest of its source.
 
 The id of a plug-in has a version, but authors edit a plug-in without raising it. Results are shared, and campaigns
 continued, only among equal ids with equal sources. Brink's own plug-ins have none: their ids alone identify them.
@@ -30,7 +30,7 @@ def is_own(module: str) -> bool:
 
 @cache
 def module_digest(module: str) -> str:
-    """Return `source_digest` as it was when this was first asked: ask as soon as a plug-in is imported."""
+    """Return `source_digest` as of the first call for a module; call it as soon as a plug-in is imported."""
     return source_digest(module)
 
 
@@ -135,7 +135,7 @@ def _files_below(folder: Path) -> list[Path]:
 
 
 def _imports(file: Path) -> Iterator[str]:
-    """Yield the top-level names that a file imports, but for Brink's.
+    """Yield the top-level names that a file imports, except Brink's.
 
     They are read from its byte code. A syntax tree would do as well, but CPython 3.11 counts the depth of trees for
     all threads together, and raises SystemError if another thread builds one, as the printing of a traceback does.

@@ -99,7 +99,7 @@ def check_simulator(
 
 
 def _compared(result: EpisodeResult) -> tuple[object, ...]:
-    """Return what must be equal if specifications are equal."""
+    """Return the parts of a result that must be equal for equal specifications."""
     return dict(result.verdicts), dict(result.objectives), dict(result.features)
 
 

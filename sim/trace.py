@@ -217,7 +217,7 @@ class GuardTrack:
         }
 
     def header(self) -> dict[str, Any]:
-        """Return what is not an array, as JSON."""
+        """Return everything that is not an array, as JSON."""
         return {"fallback": self.fallback, "horizons_s": list(self.horizons_s)}
 
     @classmethod
@@ -354,7 +354,7 @@ class Trace:
 
     @classmethod
     def _parsed(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Return the trace in the arrays of a document, without the one that accompanies it.
+        """Return the trace in the arrays of a document, without its companion trace.
 
         Raises:
             InvalidEpisode: They are not a trace, or have an unknown version.

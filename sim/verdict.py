@@ -58,7 +58,7 @@ _MOVES_MPS: Final = 0.3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Impact:
-    """How the ego and another road user met.
+    """How the ego and another road user collided.
 
     Attributes:
         place: Part of the ego that was touched, such as ``front``, ``left side`` or ``right rear``.
@@ -74,7 +74,7 @@ class Impact:
     def of(
         cls, *, bearing_rad: float, heading_rad: float, speed_mps: float, ego_mps: float, on_foot: bool
     ) -> Self:
-        """Return how the ego and another road user met.
+        """Return how the ego and another road user collided.
 
         Args:
             bearing_rad: Direction of the other's nearest point, with the ego's body scaled to a square.
@@ -113,7 +113,7 @@ class Impact:
 
 
 def impact_in(requirement: str, features: Mapping[str, Any]) -> Impact | None:
-    """Return how the ego and who it collided with met, according to the features of an episode.
+    """Return how the ego and the other road user collided, according to the features of an episode.
 
     Args:
         requirement: Id of the requirement.
@@ -126,7 +126,7 @@ def impact_in(requirement: str, features: Mapping[str, Any]) -> Impact | None:
 
 
 def impact_of(violation: Mapping[str, Any]) -> Impact | None:
-    """Return how the ego and who it collided with met; None without a collision, or if that was not recorded.
+    """Return how the ego and the other road user collided; None without a collision, or if that was not recorded.
 
     Args:
         violation: The circumstances of a violation, which any worker may have sent.
@@ -151,7 +151,7 @@ def impact_of(violation: Mapping[str, Any]) -> Impact | None:
 
 
 def _number(value: object) -> float:
-    """Return a value as a number; NaN if it is none."""
+    """Return a value as a number; NaN if it is not one."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return float(str(value)) if is_number else math.nan
 
@@ -225,7 +225,7 @@ class EpisodeVerdict:
 
     @property
     def unsafe(self) -> bool:
-        """Whether a requirement that decides was violated."""
+        """Whether a deciding requirement was violated."""
         return any(one.decides for one in self.violated)
 
     @property
@@ -234,7 +234,7 @@ class EpisodeVerdict:
         return tuple(one for one in self.violated if not one.decides)
 
     def words(self, *, times: bool = True) -> str:
-        """Return the verdict in words; empty if nothing is known to decide it and nothing was violated.
+        """Return the verdict in words; empty if the deciding requirements are unknown and nothing was violated.
 
         Args:
             times: Whether to add the moments of violations.
@@ -266,14 +266,14 @@ def collision_kind(requirement: str, features: Mapping[str, Any]) -> CollisionKi
 
 
 def held_words(requirements: Sequence[str]) -> str:
-    """Return what requirements that held are called, such as ``front gap held``."""
+    """Return the phrase for a requirement that held, such as ``front gap held``."""
     if len(requirements) > MOST_NAMED:
         return f"all {len(requirements)} requirements held"
     return ", ".join(_held(name)[0] for name in requirements)
 
 
 def drives_held(requirements: Sequence[str]) -> str:
-    """Return what drives did that held requirements, such as ``held the front gap``."""
+    """Return the phrase for drives that held a requirement, such as ``held the front gap``."""
     if len(requirements) > MOST_NAMED:
         return f"held all {len(requirements)} requirements"
     return " and ".join(_held(name)[1] for name in requirements)
@@ -287,7 +287,7 @@ def _held(requirement: str) -> tuple[str, str]:
 def violated_words(
     requirement: str, collision: CollisionKind | None = None, impact: Impact | None = None
 ) -> str:
-    """Return what the ego did in an episode that violates a requirement, such as ``hit a pedestrian``.
+    """Return the phrase for an episode that violates a requirement, such as ``hit a pedestrian``.
 
     Args:
         requirement: Its id, with or without version.

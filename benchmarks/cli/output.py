@@ -1,4 +1,4 @@
-"""What all measurements share: progress, tables of figures and targets, JSON, and the exit status."""
+"""Shared by all measurements: progress, tables of figures and targets, JSON, and the exit status."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager

@@ -105,7 +105,7 @@ def stalls(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure what a campaign or a request that stalls does to everybody else.
+    """Measure the effect of a stalling campaign or request on all others.
 
     A health check, a heartbeat, a report with the next lease, the submission of another campaign, and a whole small
     search are timed, first alone and then beside each disturbance, such as a plug-in that hangs. Each time is the

@@ -1,4 +1,4 @@
-"""`python -m benchmarks coverage`: how often intervals and tests are right where the truth is known."""
+"""`python -m benchmarks coverage`: how often intervals and tests are right when the truth is known."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""Coverage by simulation: how often intervals and tests are right where the truth is known."""
+"""Coverage by simulation: how often intervals and tests are right when the truth is known."""
 
 from benchmarks.coverage.study import Claim, Coverage, Study, measure, studies
 

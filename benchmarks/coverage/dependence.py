@@ -1,4 +1,4 @@
-"""What a test and an interval would say of archives without any effect (`brink.search.analysis.dependence`, `rules`).
+"""The results of a test and an interval on archives without any effect (`brink.search.analysis.dependence`, `rules`).
 
 Verdicts depend on no parameter by itself: the unit cube is cut into cells, and a coin for each cell decides.
 Solutions close together share a verdict, as they do in a simulation, and a search breeds its solutions from unsafe
@@ -31,7 +31,7 @@ _STEP: Final = 0.1
 
 
 def _verdicts(rows: FloatArray, salt: int) -> BoolArray:
-    """Return a coin for the cell of each solution, shape ``(n,)``."""
+    """Return a coin flip for the cell of each solution, shape ``(n,)``."""
     cells = np.floor(rows / _CELL).astype(np.uint64)
     mixed = np.full(len(rows), salt, np.uint64)
     for column in cells.T:  # splitmix64

@@ -1,4 +1,4 @@
-"""How often a detector is called met that violates too often (`brink.search.curves.DriveShares`)."""
+"""How often a detector that violates too often is judged *met* (`brink.search.curves.DriveShares`)."""
 
 from collections.abc import Callable
 from functools import cache, partial
@@ -18,7 +18,7 @@ _CAMPAIGNS_SEED: Final = 1
 
 
 def _rare(curve: FloatArray, share: float) -> FloatArray:
-    """Return the probability of each level if few drives have the grossest error, and the others none."""
+    """Return the probability of each level if few drives have the most severe error, and the others none."""
     chances = np.zeros(LEVELS + 1)
     chances[-1] = share / curve[-1]
     chances[0] = 1.0 - chances[-1]
@@ -53,7 +53,7 @@ _MIXTURES: Final[dict[str, Callable[[FloatArray, float], FloatArray]]] = {
 
 @cache
 def _campaigns(count: int) -> tuple[FloatArray, list[Curve]]:
-    """Return true curves, shape ``(count, LEVELS + 1)``, and what a campaign of `SIMULATED` drives knows of each.
+    """Return true curves, shape ``(count, LEVELS + 1)``, and estimates from a campaign of `SIMULATED` drives of each.
 
     All studies share them, because they take most of the time.
     """
@@ -68,7 +68,7 @@ def _campaigns(count: int) -> tuple[FloatArray, list[Curve]]:
 def _called_met(
     drives: int, times: float, mixture: str, rng: np.random.Generator, repetitions: int
 ) -> BoolArray:
-    """Return in which repetitions a detector is called met whose share of violations is some times the limit."""
+    """Return in which repetitions a detector whose share of violations is a multiple of the limit is judged *met*."""
     met = []
     for shares, curve in zip(*_campaigns(repetitions), strict=True):
         levels = rng.choice(LEVELS + 1, drives, p=_MIXTURES[mixture](shares, times * LIMIT))

@@ -1,4 +1,4 @@
-"""Coverage of the intervals of what a guard does in drives, and of how many violations it predicts."""
+"""Coverage of the intervals of a guard's effect on drives, and of the share of violations that it predicts."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -20,7 +20,7 @@ UNSAFE, APART, SCENARIO_SD = 0.3, 1.5, 0.7
 
 
 class Loop(NamedTuple):
-    """How drives with a guard turn out.
+    """The outcomes of drives with a guard.
 
     Attributes:
         drives: Number of drives.

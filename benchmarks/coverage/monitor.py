@@ -1,4 +1,4 @@
-"""Coverage of the intervals of a monitor's trees, which say how much an estimate depends on the simulations."""
+"""Coverage of the intervals of a monitor's trees, which state how much an estimate depends on the simulations."""
 
 from functools import partial
 from typing import Final
@@ -22,7 +22,7 @@ def risk(rows: FloatArray) -> FloatArray:
 
 
 def _of_estimates(copies: int, rng: np.random.Generator, repetitions: int) -> BoolArray:
-    """The mean estimate of all repetitions is what the interval is of.
+    """Measure coverage of the mean estimate of all repetitions, to which the interval refers.
 
     Nearly equal solutions share a verdict: such families say no more than one solution.
     """

@@ -1,4 +1,4 @@
-"""Studies of intervals and tests on synthetic data with a known truth: nominal rates against found ones.
+"""Studies of intervals and tests on synthetic data with a known truth: nominal against measured rates.
 
 A module of this package that has ``STUDIES`` adds studies to `coverage`; nothing lists the modules. Each
 study makes up data many times, calls the code of the product on them, and says in which repetitions the interval
@@ -26,7 +26,7 @@ Z_99: Final = 2.575829
 
 
 class Claim(StrEnum):
-    """What a nominal rate promises."""
+    """The promise of a nominal rate."""
 
     AT_LEAST = "at least"
     """An interval covers the truth at least so often."""
@@ -38,7 +38,7 @@ class Claim(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
-    """Synthetic data with a known truth, and an interval or a test of them.
+    """Synthetic data with a known truth, and an interval or a test on them.
 
     Attributes:
         name: Name, unique among all studies: what is judged, then the case, such as ``tolerance: 100 drives a cell``.
@@ -56,7 +56,7 @@ class Study:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coverage:
-    """The rate that a study found.
+    """The rate that a study measured.
 
     Attributes:
         name: Name of the study.
@@ -74,7 +74,7 @@ class Coverage:
 
     @property
     def found(self) -> float:
-        """The found rate."""
+        """The measured rate."""
         return self.hits / self.repetitions
 
     @property
@@ -85,7 +85,7 @@ class Coverage:
 
     @property
     def met(self) -> bool | None:
-        """Whether the found rate agrees with the nominal one; None if that promises nothing."""
+        """Whether the measured rate agrees with the nominal one; None if that promises nothing."""
         low, high = self.interval
         match self.claim:
             case Claim.AT_LEAST:
@@ -109,7 +109,7 @@ def studies() -> list[Study]:
 def measure(
     chosen: Iterable[Study], repetitions: int, seed: int, progress: Progress = lambda *_: None
 ) -> Iterator[Coverage]:
-    """Yield the rate that each study finds.
+    """Yield the rate that each study measures.
 
     Args:
         chosen: The studies. What one finds does not depend on the others.

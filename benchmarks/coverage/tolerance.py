@@ -51,7 +51,7 @@ def _without_screening(drives: int, rng: np.random.Generator, repetitions: int) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leaks:
-    """Drives that hold with the grossest error and violate with milder ones.
+    """Drives that hold with the most severe error and violate with milder ones.
 
     Attributes:
         name: The case in words.

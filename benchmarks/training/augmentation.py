@@ -1,4 +1,4 @@
-"""Changes to training images that make a detector robust, none of them one of the 15 perturbation techniques.
+"""Changes to training images that make a detector robust; none is one of the 15 perturbation techniques.
 
 The search must not be able to say more than "the detector was never trained on this". So no perturbation is used in
 training, neither by name nor by code. What is used instead changes the geometry of a scene, the camera's response and
@@ -214,7 +214,7 @@ def compression(picture: Picture, rng: np.random.Generator) -> Picture:
 
 
 def low_resolution(picture: Picture, rng: np.random.Generator) -> Picture:
-    """Make the image up to seven times smaller, and large again."""
+    """Shrink the image by up to a factor of seven, and enlarge it again."""
     height_px, width_px = picture.shape[:2]
     factor = float(np.exp(rng.uniform(np.log(1.3), np.log(7.0))))
     size = max(8, round(width_px / factor)), max(8, round(height_px / factor))

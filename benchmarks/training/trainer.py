@@ -110,7 +110,7 @@ def make_deterministic() -> None:
 
 
 def find_device() -> torch.device:
-    """Return the first GPU, or the processor where there is none."""
+    """Return the first GPU, or the CPU if there is none."""
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
@@ -183,7 +183,7 @@ def _augmented(
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class _State:
-    """All that an epoch changes.
+    """Everything that an epoch changes.
 
     Attributes:
         network: The network that is trained.
@@ -262,7 +262,7 @@ class _State:
 def train(
     pictures: TrainingSet, validation: TrainingSet, settings: Settings, out: Path
 ) -> tuple[Network, dict[str, Any]]:
-    """Train a network, going on from the last complete epoch in the output folder, if there is one.
+    """Train a network, continuing from the last complete epoch in the output folder, if there is one.
 
     Args:
         pictures: Training images, as from `collect`.

@@ -35,7 +35,7 @@ class CoordinatorError(ServerError):
 
 
 class Missing(CoordinatorError):
-    """The coordinator has nothing by this name."""
+    """The coordinator has no resource with this name."""
 
 
 class Refused(CoordinatorError):
@@ -155,7 +155,7 @@ def _adapter(schema: Any) -> TypeAdapter[Any]:
 
 
 def _error_of(response: httpx.Response) -> CoordinatorError:
-    """Return the error that a response stands for; its message has one line for each invalid field."""
+    """Return the error for a response; its message has one line for each invalid field."""
     try:
         document = response.json()
     except ValueError:

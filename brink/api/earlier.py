@@ -40,7 +40,7 @@ async def earlier_run(
 
 
 async def changed_in_experiment(api: Api, body: ExperimentBody, experiment: str) -> str | None:
-    """Return in words which plug-ins of an earlier run of an experiment had other code, or None if none had.
+    """Describe the plug-ins whose code differs from an earlier run of an experiment, or None if none does.
 
     Args:
         api: Where it was submitted.

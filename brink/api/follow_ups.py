@@ -1,4 +1,4 @@
-"""Follow-ups of pairs, as clients ask for them: what they simulate, and how they are paused and continued."""
+"""Follow-ups of pairs in clients: what they simulate, and how they are paused and resumed."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ def follow_up_requests(
     minimise: bool = False,
     limit: int | None = None,
 ) -> list[dict[str, Any]]:
-    """Return the follow-ups to ask for, as bodies of requests.
+    """Return the request bodies of follow-ups.
 
     Args:
         settings: ``eps`` and ``d_th``, where they are not the campaign's own.
@@ -50,7 +50,7 @@ def follow_up_requests(
 
 
 def follow_up_options(requests: Sequence[dict[str, Any]]) -> str:
-    """Return the options that ask for follow-ups, for hints."""
+    """Return the command-line options of follow-ups, for hints."""
     words = [f"--{one['kind']}" + (f" {one['repeats']}" if "repeats" in one else "") for one in requests]
     words += [
         f"--{name.replace('_', '-')} {requests[0][name]:g}"
@@ -67,6 +67,6 @@ async def continue_follow_up(api: Api, found: FollowUpView) -> None:
 
 
 async def pause_follow_up(api: Api, campaign: str) -> None:
-    """Pause a follow-up, unless it has ended meanwhile."""
+    """Pause a follow-up, unless it has ended in the meantime."""
     with contextlib.suppress(CoordinatorError):
         await api.post(f"/campaigns/{campaign}/pause")

@@ -32,7 +32,7 @@ def updates_in_place(console: Console) -> bool:
 
 
 class Steps:
-    """What a command is doing, how far it is, and for how long.
+    """Shows the current step of a command, its progress, and its duration.
 
     On a terminal a line in place, such as ``drawing replays, 2 of 3, 41 s``; elsewhere such a line after two seconds,
     then every ten seconds.
@@ -76,11 +76,11 @@ class Steps:
             self._live.stop()
 
     def show(self, what: str, done: int = 0, total: int = 0) -> None:
-        """Show a step, and how far it is unless `total` is 0; safe from any thread."""
+        """Show a step, with its progress unless `total` is 0; safe from any thread."""
         self._what, self._done, self._total = what, done, total
 
     def of(self, what: str) -> Callable[[int, int], None]:
-        """Return a function that shows how far a step is."""
+        """Return a callback that shows the progress of a step."""
         self.show(what)
         return lambda done, total: self.show(what, done, total)
 
@@ -156,7 +156,7 @@ class CampaignDisplay(LiveDisplay):
         return len(self._series)
 
     def show(self, progress: Progress) -> None:
-        """Show the progress of a campaign, including the generations that are new."""
+        """Show the progress of a campaign, including new generations."""
         self._series += [one for one in progress.generations if one.number >= len(self._series)]
         if failures_of(progress) and not self._failed:
             self._printed_at, self._failed = float("-inf"), True
@@ -256,13 +256,13 @@ def facts_table(rows: Sequence[tuple[str, *tuple[Text, ...]]]) -> Table:
 
 
 def earlier_words(progress: Progress | ExperimentProgress) -> str:
-    """Say that a result is of an earlier run: when that finished, if known, and that nothing was simulated."""
+    """State that a result comes from an earlier run: when it finished, if known, and that nothing was simulated."""
     at = progress.finished_at if isinstance(progress, Progress) else None
     return f"finished earlier{f', on {at:%Y-%m-%d at %H:%M} UTC' if at else ''}; nothing was simulated"
 
 
 def waits_words(progress: Progress) -> list[str]:
-    """Return which queued jobs wait for a worker that can run them, a line for each kind of worker."""
+    """Describe the queued jobs that wait for a suitable worker, one line for each kind of worker."""
     return [
         f"{count:,} {'job waits' if count == 1 else 'jobs wait'} for {progress.waits_for.get(needs, needs)}"
         for needs, count in progress.unrunnable.items()
@@ -270,7 +270,7 @@ def waits_words(progress: Progress) -> list[str]:
 
 
 def failures_of(progress: Progress) -> int:
-    """Return how many simulations of a campaign have failed, whether or not its search has been told."""
+    """Return how many simulations of a campaign have failed, whether or not its search has received them."""
     return progress.failed + progress.reported_failed
 
 
@@ -281,7 +281,7 @@ def failures_words(progress: Progress) -> str:
 
 
 def rate_parts(progress: Progress | ExperimentProgress) -> list[str]:
-    """Return how fast the simulations are, how many results came from the cache, and the time left, if known."""
+    """Return the simulation rate, the number of cached results, and the time left, if known."""
     parts = [] if progress.rate_per_s is None else [rate_of(progress.rate_per_s)]
     if progress.cached:
         parts.append(f"{progress.cached:,} from the cache")
@@ -296,7 +296,7 @@ def rate_words(progress: Progress | ExperimentProgress) -> str:
 
 
 def workers_words(progress: Progress | ExperimentProgress) -> str:
-    """Return how many workers there are and what they do."""
+    """Return how many workers there are, and their states."""
     return f"{progress.workers or 'none yet'}   running {progress.leased}   queued {progress.queued}"
 
 

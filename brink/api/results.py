@@ -1,4 +1,4 @@
-"""What a campaign found, fetched over the API: its archive, its pairs, and traces of its episodes."""
+"""A campaign's results, fetched over the API: its archive, its pairs, and traces of its episodes."""
 
 import asyncio
 import contextlib
@@ -94,7 +94,7 @@ async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
 
 
 async def read_all_pairs(api: Api, campaign: str) -> PairsView | TooManyPairs:
-    """Return the pairs of a campaign, as far as they are shown, or that there are too many to tell apart.
+    """Return the pairs of a campaign, up to the limit of a list, or a note that there are too many to tell apart.
 
     Raises:
         CoordinatorError: The campaign does not exist.
@@ -109,7 +109,7 @@ async def read_all_pairs(api: Api, campaign: str) -> PairsView | TooManyPairs:
 
 
 def find_pair(view: PairsView, number: int) -> PairView | None:
-    """Return the pair with a number; None if it is not among those that were fetched."""
+    """Return the pair with a number; None if it is not among the fetched ones."""
     return next((pair for pair in view.pairs if pair.place == number), None)
 
 

@@ -1,4 +1,4 @@
-"""The one place that writes to the terminal. Control characters in texts of others are shown, not obeyed."""
+"""The one place that writes to the terminal. Control characters in untrusted text are shown, not executed."""
 
 import sys
 from collections.abc import Iterable
@@ -26,13 +26,13 @@ class PlainConsole(Console):
         return super().render_str(printable(text), **settings)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Render something; the control sequences of rich itself are segments of their own."""
+        """Render an object; rich's own control sequences are separate segments."""
         for text, style, control in super().render(renderable, options):
             yield Segment(text if control else printable(text), style, control)
 
 
 def echo(text: object, *, nl: bool = True, err: bool = False) -> None:
-    """Write text as it is to a file or a pipe, and printable to a terminal.
+    """Write text unchanged to a file or a pipe, and made printable to a terminal.
 
     Args:
         text: The text.

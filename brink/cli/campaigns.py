@@ -139,7 +139,7 @@ async def follow(api: Api, campaign: str, *, as_json: bool, quiet: bool = False)
 
 
 def waiting_words(progress: Progress, server: str) -> str:
-    """Return why no worker simulates a running campaign, and what to do; empty if nothing is amiss.
+    """Explain why no worker simulates a running campaign, and what to do; empty if nothing is wrong.
 
     Args:
         progress: Progress of the campaign.
@@ -279,7 +279,7 @@ async def _list_campaigns(api: Api, asked: dict[str, Any], place: str, *, follow
 
 
 def _attempts(job: JobViewModel) -> str:
-    """Return in words how often a quarantined job was tried."""
+    """Describe how often a quarantined job was tried."""
     lost = f" and {job.losses} lost workers" if job.losses else ""
     return f"{job.counted_attempts} attempts{lost}"
 
@@ -362,7 +362,7 @@ def results(
 
 
 async def _show_boundary(api: Api, boundary: Boundary, campaign: str, place: str) -> None:
-    """Print the boundary; after a search for pairs, which does not look for it, first where these are."""
+    """Print the boundary; after a search for pairs, first print where to find the pairs."""
     screen = console()
     found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
     if not found.evaluated:
@@ -396,7 +396,7 @@ def _done(progress: Progress) -> str:
 
 
 def where_pairs_are(progress: Progress, place: str, *, options: str = "", do: str = "show them") -> str:
-    """Return how to go on with what a search for pairs found.
+    """Return how to continue with the results of a search for pairs.
 
     Args:
         progress: The campaign.
@@ -413,7 +413,7 @@ def where_pairs_are(progress: Progress, place: str, *, options: str = "", do: st
 
 
 def within_budget(boundary: Boundary) -> str:
-    """Return what comparisons count instead, if that differs; otherwise an empty string."""
+    """Return the figures that comparisons count instead, if they differ; otherwise an empty string."""
     within = boundary.within_budget
     if within is None or (within.dbs, within.strict_dbs) == (boundary.dbs, boundary.strict_dbs):
         return ""
@@ -435,7 +435,7 @@ def grid_table(grid: list[DbsCell]) -> Table:
 def solution_table(
     boundary: Boundary, shown: int = SOLUTIONS_SHOWN, *, rest: str = "in boundary.csv"
 ) -> Table:
-    """Return a table of the best boundary solutions, and where the rest is."""
+    """Return a table of the best boundary solutions, and how to list the rest."""
     table = plain_table(
         "number",
         "outcome",

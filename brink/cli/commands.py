@@ -75,7 +75,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
 
 
 class PlainCommand(TyperCommand):
-    """A command that refuses an option of several values if it is given twice: all but the last would be lost."""
+    """A command that rejects a repeated multi-value option, which would otherwise lose all but its last values."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments of the command."""
@@ -95,7 +95,7 @@ MOST_NAMED = 12
 
 
 class HelpfulGroup(TyperGroup):
-    """A command group whose error for an unknown command says which one may have been meant."""
+    """A command group whose error for an unknown command suggests the closest one."""
 
     def resolve_command(self, ctx: Any, args: Any) -> Any:
         """Return the command that the arguments begin with, and its arguments."""

@@ -89,7 +89,7 @@ def compare(
 
 
 def _counts(pairs: PairsView | TooManyPairs) -> dict[str, int] | None:
-    """Return the numbers of distinct pairs by what is known of them; None if there are too many to tell apart."""
+    """Return the numbers of distinct pairs by evidence; None if there are too many to tell apart."""
     if isinstance(pairs, TooManyPairs):
         return None
     names = {"distinct", "checked", "tried", "confirmed", "not_confirmed"}

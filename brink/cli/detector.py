@@ -127,7 +127,7 @@ class Check(Protocol):
     """A check of a detector."""
 
     async def run(self, api: Api) -> bool:
-        """Check, and print, write and draw the result; return whether no cell is *not met*."""
+        """Run the check, and print, write and draw the result; return whether no cell is *not met*."""
         ...
 
 
@@ -146,7 +146,7 @@ class EpisodesCheck:
     output: Output
 
     async def run(self, api: Api) -> bool:
-        """Check, and print, write and draw the result; return whether no cell is *not met*."""
+        """Run the check, and print, write and draw the result; return whether no cell is *not met*."""
         view = await api.read(DetectorView, _path(self.campaign), {"episodes": self.episodes})
         about = [
             f"The drives are those of campaign {self.episodes}; watch one with: brink replay {self.episodes} DRIVE."
@@ -174,7 +174,7 @@ class RecordingCheck:
     output: Output
 
     async def run(self, api: Api) -> bool:
-        """Check, and print, write and draw the result; return whether no cell is *not met*."""
+        """Run the check, and print, write and draw the result; return whether no cell is *not met*."""
         shows_many = (
             self.output.form in (Format.TABLE, Format.CSV, Format.JSON) and self.output.picture is None
         )
@@ -209,7 +209,7 @@ class RecordingCheck:
         return await api.send(DetectorView, _path(self.campaign), body.model_dump(mode="json"))
 
     def _say(self, recording: Recording) -> list[str]:
-        """Print what was measured to standard error; return it."""
+        """Print the measurements to standard error, and return them."""
         about = self.given.words(recording)
         for words in about:
             echo(words, err=True)
@@ -313,7 +313,7 @@ _STYLES: Final = {
 
 
 def show_detector(screen: Console, view: DetectorView) -> None:
-    """Print the verdict, a row for each cell that drives tell something of, and what to record next."""
+    """Print the verdict, a row for each cell with evidence, and what to record next."""
     screen.print(f"{view.note}.", soft_wrap=True, style="bold")
     screen.print(view.meaning, soft_wrap=True, style="dim")
     cells = evidence(view)
@@ -392,7 +392,7 @@ _SHORT: Final = {
 
 
 def _by_cell(views: Mapping[float, DetectorView]) -> dict[tuple[str, ...], list[CheckResult]]:
-    """Return the results of each cell, by its error, condition and choices, in the order of the thresholds."""
+    """Return the results of each cell by its error, condition and choices, in the order of the thresholds."""
     found: dict[tuple[str, ...], list[CheckResult]] = {}
     for view in views.values():
         for cell in view.cells:

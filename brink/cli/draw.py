@@ -1,4 +1,4 @@
-"""`brink plot` and `brink replay`, and the files with which `brink run` begins its results."""
+"""`brink plot` and `brink replay`, and the first result files of `brink run`."""
 
 import asyncio
 from pathlib import Path

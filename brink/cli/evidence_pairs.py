@@ -44,7 +44,7 @@ class PairEvidence:
     notes: tuple[str, ...]
 
     def files(self) -> list[str]:
-        """Return the lines of README.md that say what is in which file."""
+        """Return the lines of README.md that describe each file."""
         if not self.view.pairs:
             return []
         tables = ", ".join(f"`pairs.{form}`" for form in FORMATS if form != "parquet" or has_parquet())

@@ -1,4 +1,4 @@
-"""The pairs across the boundary of an experiment: follow-ups of all campaigns, and what they show."""
+"""The pairs across the boundary of an experiment: follow-ups of all campaigns, and their results."""
 
 import asyncio
 from collections.abc import Mapping, Sequence
@@ -40,7 +40,7 @@ from brink.server.states import CampaignStatus
 async def fetch_experiment_pairs(
     api: Api, experiment: str, screen: Console, **settings: float
 ) -> ExperimentPairs:
-    """Return the pairs of an experiment, once all its finished campaigns are searched for them.
+    """Return the pairs of an experiment, once those of all its finished campaigns have been computed.
 
     Args:
         api: Its coordinator.
@@ -85,7 +85,7 @@ async def ask_follow_ups(
     component: bool,
     stop: asyncio.Event | None = None,
 ) -> tuple[list[FollowUpView], bool]:
-    """Ask for the follow-ups of every campaign of an experiment that lacks them; those paused by a user continue.
+    """Start or resume the follow-ups of every campaign of an experiment that lacks them.
 
     Args:
         api: The coordinator.
@@ -125,7 +125,7 @@ async def ask_follow_ups(
 
 
 def _is_known(one: PairRepeatView, request: dict[str, Any]) -> bool:
-    """Return whether a follow-up would tell nothing new about the pairs of a campaign."""
+    """Return whether a follow-up would show nothing new about the pairs of a campaign."""
     if not one.distinct:
         return True
     if request["kind"] == FollowUpKind.COMPONENT:
@@ -136,7 +136,7 @@ def _is_known(one: PairRepeatView, request: dict[str, Any]) -> bool:
 
 
 async def run_follow_ups(session: Session, pairs: ExperimentPairs, *, confirm: int, component: bool) -> bool:
-    """Run the follow-ups of all campaigns of an experiment to their end, with workers that are running already.
+    """Run the follow-ups of all campaigns of an experiment to their end, with workers that are already running.
 
     Args:
         session: The coordinator and its workers.
@@ -180,7 +180,7 @@ def follow_up_here(
     server: str | None,
     database: str | None,
 ) -> bool:
-    """Ask for the follow-ups of all campaigns of an experiment and, without a server, run them to their end.
+    """Start the follow-ups of all campaigns of an experiment and, without a server, run them to their end.
 
     Args:
         experiment: Its id.
@@ -228,7 +228,7 @@ def follow_up_here(
 
 
 async def _check_extras(api: Api, experiment: str) -> None:
-    """Check that workers on this machine have what the problems of an experiment need."""
+    """Check that the extras for an experiment's problems are installed on this machine."""
     body = (await api.read(ExperimentView, f"/experiments/{experiment}")).body
     for cell in body.cells()[: len(body.problems) * len(body.algorithms)]:
         check_extra(make_plan(cell.body).problem)

@@ -1,4 +1,4 @@
-"""Campaigns that a monitor or a guard is fitted to or judged on, and how its file records them."""
+"""The campaigns on which a monitor or a guard is fitted or evaluated, and how its file records them."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -38,7 +38,7 @@ def fetch_archives(
 
 
 def fitted_among(about: object, campaigns: Iterable[FetchedArchive]) -> list[str]:
-    """Return the ids of those campaigns that a model was fitted to.
+    """Return the ids of those campaigns to which a model was fitted.
 
     Args:
         about: The provenance in the model's file; of an unknown form, it names no campaigns.
@@ -49,5 +49,5 @@ def fitted_among(about: object, campaigns: Iterable[FetchedArchive]) -> list[str
 
 
 def fitted_words(file: Path, campaigns: Sequence[str]) -> str:
-    """Return that the model of a file was fitted to campaigns, worded as the beginning of a message."""
+    """Return the beginning of a message that a file's model was fitted to campaigns."""
     return f"{file} was fitted to {'campaign' if len(campaigns) == 1 else 'campaigns'} {', '.join(campaigns)}"

@@ -1,4 +1,4 @@
-"""`brink guard fit | judge | drive`: a runtime monitor of what a car can observe, fitted to drives of campaigns."""
+"""`brink guard fit | judge | drive`: runtime monitors of what a car can observe, fitted to drives of campaigns."""
 
 import os
 from collections.abc import Sequence
@@ -219,7 +219,7 @@ class _Part:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Source:
-    """Where drives come from.
+    """The source of drives.
 
     Attributes:
         choice: Id and parameters of their problem.
@@ -250,7 +250,7 @@ class _Source:
         }
 
     def recorded(self, processes: int, steps: Steps) -> list[Drive]:
-        """Run all drives again; one that several campaigns have counts once.
+        """Run all drives again; a drive that several campaigns share counts once.
 
         Raises:
             Conflict: The drives of a campaign end differently on this machine.
@@ -306,7 +306,7 @@ def _source(
     requirement: Sequence[str] | None,
     default: PluginChoice = DEFAULT_PROBLEM,
 ) -> _Source:
-    """Return where drives come from, and check it before anything slow begins.
+    """Return the source of drives, checked before anything slow begins.
 
     Raises:
         InvalidInput: There are no drives, or a guard cannot watch them.
@@ -341,7 +341,7 @@ def _requirements(problem: SimulatedProblem) -> tuple[str, ...]:
 
 
 def _check_fresh(file: Path, model: GuardModel, source: _Source) -> None:
-    """Check that a guard was not fitted to the drives on which it is to be judged, in whatever campaign.
+    """Check that a guard was not fitted to the drives on which it is to be evaluated, whatever their campaign.
 
     Raises:
         Conflict: It was.

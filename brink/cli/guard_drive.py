@@ -269,7 +269,7 @@ def _remove_pictures(out: Path) -> None:
 
 
 def _sights(loop: GuardedLoop, condition: Condition, counts: BoolArray | None = None) -> list[dict[str, Any]]:
-    """Return violations without the guard by what was reported before them, and how many are prevented.
+    """Group violations without the guard by what was reported before them, with how many are prevented.
 
     Args:
         loop: The drives.
@@ -327,7 +327,7 @@ def _document(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolAr
 
 
 def _recommendation(loop: GuardedLoop, best: Condition) -> dict[str, Any]:
-    """Return the recommended threshold, the seeds on which it was chosen, and what it is worth on the others."""
+    """Return the recommended threshold, the seeds on which it was chosen, and its benefit on the others."""
     seeds = np.array(loop.seed)
     return {
         "threshold": best.threshold,

@@ -1,4 +1,4 @@
-"""`brink findings`: all that a campaign found, whatever its kinds, in the terminal or as files."""
+"""`brink findings`: all findings of a campaign, whatever their kind, in the terminal or as files."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -43,7 +43,7 @@ def findings(
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show what a campaign found: each kind of findings in a sentence and a table, and what to do next.
+    """Show the findings of a campaign: each kind as a sentence and a table, and next steps.
 
     Example: brink findings 3f2a
 
@@ -84,7 +84,7 @@ def _check_file(out: Path, kind: str | None) -> None:
 
 
 def print_findings(screen: Console, found: Findings, place: str = "") -> None:
-    """Print all kinds of findings of a campaign, and what to do next.
+    """Print all kinds of findings of a campaign, and next steps.
 
     Args:
         screen: Where to print.
@@ -102,7 +102,7 @@ def print_findings(screen: Console, found: Findings, place: str = "") -> None:
 
 
 def print_finding(screen: Console, finding: Finding, *, more: str = "", said: Sequence[str] = ()) -> None:
-    """Print one kind of findings: its sentence, what else is known, and its tables.
+    """Print one kind of findings: its sentence, its details, and its tables.
 
     Args:
         screen: Where to print.
@@ -119,7 +119,7 @@ def print_finding(screen: Console, finding: Finding, *, more: str = "", said: Se
 
 
 def print_steps(screen: Console, steps: list[Step], place: str = "") -> None:
-    """Print what to do next, as commands with the questions that they answer."""
+    """Print next steps as commands, with the questions that they answer."""
     commands = [
         (f"{program()}{step.command.removeprefix('brink')}", step.question) for step in steps if step.command
     ]

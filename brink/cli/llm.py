@@ -179,7 +179,7 @@ def log(
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """List the language model calls of a campaign, with what happened to each, HTTP requests and costs.
+    """List the language model calls of a campaign, with their outcomes, HTTP requests and costs.
 
     Example: brink llm log 3f2a --out replies
     """

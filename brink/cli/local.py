@@ -67,7 +67,7 @@ class Session:
         self.screen.print(f"{text}: {program()} {command}{self.database}", soft_wrap=True)
 
     async def watch(self, poll: Callable[[], Awaitable[ProgressT]]) -> ProgressT:
-        """Poll until the work ends or is stopped, and replace workers that died.
+        """Poll until the work ends or is stopped, replacing workers that died.
 
         Args:
             poll: Fetches and shows the progress.

@@ -245,7 +245,7 @@ def _read(file: Path) -> Monitor:
 
 
 def _check_fresh(file: Path, campaigns: Sequence[FetchedArchive]) -> None:
-    """Check that a monitor was not fitted to the campaigns on which it is to be evaluated; warn if to some of them.
+    """Check that a monitor was not fitted to the campaigns that evaluate it; warn if it was fitted to some.
 
     Raises:
         Conflict: It was fitted to all of them.

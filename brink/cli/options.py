@@ -224,7 +224,7 @@ def program() -> str:
 
 
 def database_option(settings: "Settings") -> str:
-    """Return the option that names the database in hints, without the password.
+    """Return the option that names the database, without its password, for hints.
 
     Empty for the default database and for that of the environment: the next command finds those by itself.
     """
@@ -236,12 +236,12 @@ def database_option(settings: "Settings") -> str:
 
 
 def place_option(server: str | None, database: str | None) -> str:
-    """Return the option that names a coordinator or a database in hints, as a command was given it."""
+    """Return the option that names the coordinator or the database, as given to the command, for hints."""
     return f" --server {quote(server)}" if server else database_option(settings_with(database=database))
 
 
 def database_place(settings: "Settings") -> str:
-    """Return where a database is, in words: the path of its file, or its URL without the password."""
+    """Describe the location of a database: the path of its file, or its URL without the password."""
     from brink.server.runtime.database import shown_url
 
     file = settings.sqlite_file
@@ -249,7 +249,7 @@ def database_place(settings: "Settings") -> str:
 
 
 async def naming_ids(api: Api, place: str, option: str, work: Callable[[], Awaitable[T]]) -> T:
-    """Do work; if it names a campaign or an experiment that does not exist, say where that is, and what is there.
+    """Do work; if it names a missing campaign or experiment, say where it was looked up, and what exists there.
 
     Args:
         api: The API of a coordinator.
@@ -273,7 +273,7 @@ async def naming_ids(api: Api, place: str, option: str, work: Callable[[], Await
 
 
 async def _some_ids(api: Api, noun: str) -> str:
-    """Return the newest campaigns or experiments of a coordinator, in words."""
+    """List the newest campaigns or experiments of a coordinator in a few words."""
     if noun == "campaigns":  # without follow-ups, as `brink status` lists them
         listed = await api.get("/overview", {"limit": IDS_SHOWN + 1, "follow_ups": "hidden"})
         found = [f"{one} ({name})" for one, name in zip(listed["id"], listed["name"], strict=True)]
@@ -319,7 +319,7 @@ def with_api(server: str | None, database: str | None, work: Callable[[Api], Awa
 def delete_confirmed(
     path: str, what: str, *, confirmed: bool, server: str | None, database: str | None
 ) -> None:
-    """Delete a campaign or an experiment after the user has confirmed that, with its follow-ups named.
+    """Delete a campaign or an experiment once the user has confirmed, after listing its follow-ups.
 
     Args:
         path: Path of the resource.
@@ -346,7 +346,7 @@ def delete_confirmed(
 
 @contextmanager
 def about_file(file: Path) -> Iterator[None]:
-    """Say where in a campaign or experiment file the fields are that were rejected, here or by a coordinator.
+    """Locate in a campaign or experiment file the fields that were rejected, here or by a coordinator.
 
     Raises:
         InvalidInput: The file is invalid, or the coordinator rejected it.
@@ -378,7 +378,7 @@ def fields(value: Any, *names: str) -> dict[str, Any]:
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Return a console; one that is not a terminal is wide enough for the tables of all commands."""
+    """Return a console; if it is not a terminal, it is wide enough for the tables of all commands."""
     screen = PlainConsole(stderr=stderr)
     if screen.is_terminal or stderr:
         return screen
@@ -391,7 +391,7 @@ def print_line(text: str) -> None:
 
 
 def print_sentence(screen: Console, text: str | Text, style: str | None = None) -> None:
-    """Print a sentence with nothing to paste: broken between words on a terminal, on one line elsewhere."""
+    """Print a sentence that contains nothing to paste: wrapped on a terminal, on one line elsewhere."""
     screen.print(text, soft_wrap=not screen.is_terminal, style=style)
 
 
@@ -420,7 +420,7 @@ def check_picture(file: Path | None) -> None:
 
 
 def save_picture(figure: "Figure", file: Path) -> None:
-    """Write a figure to a file, in the format of its ending; make the folder if there is none."""
+    """Write a figure to a file, in the format of its extension, creating the folder if needed."""
     file.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(file)
 

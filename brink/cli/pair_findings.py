@@ -1,4 +1,4 @@
-"""The pairs at the end of `brink run`: first where the search looked for them, otherwise in one line."""
+"""The pairs at the end of `brink run`: first if the search was for pairs, otherwise in one line."""
 
 import math
 from pathlib import Path
@@ -83,7 +83,7 @@ class PairFindings:
         )
 
     def show(self, screen: Console) -> None:
-        """Print the first pairs if the search looked for them, otherwise one line."""
+        """Print the first pairs if the search was for pairs, otherwise one line."""
         view = self._view
         if not self.searched:
             screen.print(f"pairs across the boundary: {view.note}", soft_wrap=True)
@@ -107,7 +107,7 @@ class PairFindings:
             screen.print(self._no_picture, soft_wrap=True, style="yellow")
 
     def write(self, folder: Path) -> list[Path]:
-        """Write the pairs to files, unless there is none; return the files."""
+        """Write the pairs to files, unless there are none; return the files."""
         files = []
         for form, table in self._tables.items():
             files.append(folder / f"pairs.{form}")
@@ -115,11 +115,11 @@ class PairFindings:
         return files
 
     def differs_from(self, file: Path) -> bool:
-        """Return whether a file that `write` wrote says something else by now."""
+        """Return whether a file that `write` wrote is out of date."""
         return file.read_bytes() != self._tables.get(file.suffix.removeprefix("."), b"")
 
     async def draw(self, drawing: Drawing) -> list[Path]:
-        """Draw the pair with the best evidence if the search looked for pairs; return the files.
+        """Draw the pair with the best evidence if the search was for pairs; return the files.
 
         If an earlier run drew another one, that is drawn again, because more may be known of it by now.
         """
@@ -178,7 +178,7 @@ class PairFindings:
         return hints
 
     def decides_by_some_requirements(self) -> bool:
-        """Return whether the problem could decide by further requirements, with ``requirement: any``."""
+        """Return whether the problem could also use further requirements, with ``requirement: any``."""
         problem = self._fetched.plan.problem
         if not problem.requirements:
             return False
@@ -209,7 +209,7 @@ def _has_component(fetched: FetchedArchive) -> bool:
 
 
 class TooManyFindings:
-    """What is left to say of a campaign with too many pairs to tell apart.
+    """The findings of a campaign with too many pairs to tell apart.
 
     Args:
         refusal: Why its pairs are not listed.
@@ -257,7 +257,7 @@ class TooManyFindings:
 
 
 async def fetch_pair_findings(api: Api, fetched: FetchedArchive) -> PairFindings | TooManyFindings:
-    """Return the distinct pairs of a campaign, and their files, or that there are too many."""
+    """Return the distinct pairs of a campaign, and their files, or a note that there are too many."""
     view = await read_all_pairs(api, fetched.id)
     if isinstance(view, TooManyPairs):
         return TooManyFindings(view, fetched)

@@ -1,4 +1,4 @@
-"""How `brink pairs` draws a pair: it checks the file first, and shows its progress."""
+"""How `brink pairs` draws a pair: it checks the file first, and shows progress."""
 
 from pathlib import Path
 from typing import Final

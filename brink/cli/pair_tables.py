@@ -1,4 +1,4 @@
-"""Pairs as text: a table of the first ones, and what its terms mean."""
+"""Pairs as text: a table of the first ones, and the meaning of its terms."""
 
 from rich.console import Console
 from rich.table import Table
@@ -11,7 +11,7 @@ from brink.server.problems.changes import as_sentence
 
 
 def print_pairs(screen: Console, view: PairsView) -> None:
-    """Print what was found, and the first pairs."""
+    """Print a summary and the first pairs."""
     print_sentence(screen, Text.assemble((view.name, "bold"), f" ({view.campaign}): {view.note}"))
     if not view.pairs:
         return
@@ -33,7 +33,7 @@ def print_pairs(screen: Console, view: PairsView) -> None:
 
 
 def print_legend(screen: Console, view: PairsView) -> None:
-    """Print what the terms of the table mean, and what pairs do not say."""
+    """Print the meaning of the table's terms, and the limits of what pairs show."""
     for words in legend(view):
         print_sentence(screen, words, style="dim")
     if view.caveat:
@@ -41,7 +41,7 @@ def print_legend(screen: Console, view: PairsView) -> None:
 
 
 def pairs_table(view: PairsView, shown: int | None = None) -> Table:
-    """Return a table of the first pairs: the change in words, what both drives showed, and the evidence."""
+    """Return a table of the first pairs: the change in words, the outcomes of both drives, and the evidence."""
     table = plain_table(
         "pair", "change from the safe to the unsafe drive, and what both showed", "evidence", right=("pair",)
     )

@@ -224,7 +224,7 @@ def _follow_up(
     database: str | None,
     screen: Console,
 ) -> bool:
-    """Ask for follow-ups and, without a server, run them to their end; return whether nothing was stopped."""
+    """Start follow-ups and, without a server, run them to their end; return False if one was stopped."""
     if server is None:
         return run_locally(
             settings_with(database=database, port=0),
@@ -248,7 +248,7 @@ def _follow_up(
 
 
 async def _ask(api: Api, campaign: str, request: dict[str, Any], screen: Console) -> FollowUpView | None:
-    """Ask for a follow-up, or for an equal one that exists; return None if there is nothing to do, and say why."""
+    """Start a follow-up, or return an identical one; return None, with a message, if there is nothing to do."""
     given = {name: request[name] for name in ("eps", "d_th") if name in request}
     view = await fetch_asked(api, campaign, request.get("limit"), **given)
     if view.complete and not view.pairs:
@@ -259,7 +259,7 @@ async def _ask(api: Api, campaign: str, request: dict[str, Any], screen: Console
 
 
 def _can_be_minimised(view: PairsView, screen: Console) -> bool:
-    """Return whether a difference of any pair may be reverted, and say which pairs are left out."""
+    """Return whether a difference of any pair can be reverted, and report the pairs that are left out."""
     states = [pair.minimality.state for pair in view.pairs]
     if left_out := states.count(Minimality.DIFFERENT_SEEDS):
         if len(states) == 1:
@@ -346,7 +346,7 @@ async def fetch_pairs(api: Api, campaign: str, **params: Any) -> PairsView:
 
 
 async def fetch_asked(api: Api, campaign: str, limit: int | None, **params: Any) -> PairsView:
-    """Return the pairs that a follow-up asks about: those with the smallest numbers.
+    """Return the pairs that a follow-up covers: those with the smallest numbers.
 
     Args:
         api: Coordinator of the campaign.

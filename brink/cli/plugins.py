@@ -89,7 +89,7 @@ def _kind(group: str) -> str:
 
 
 def _checked(group: str, name: str) -> dict[str, Any]:
-    """Check one plug-in; return whether it passed, and in words how."""
+    """Check one plug-in; return whether it passed, and a description of the result."""
     try:
         words = _CHECKS.get(group, _check_loads)(group, name)
     except Exception as error:  # noqa: BLE001  (a plug-in may raise anything; that is what is checked)

@@ -1,4 +1,4 @@
-"""Options that say what a recording of a detector is: its files, camera, classes, and what counts in it."""
+"""Options that describe a recording of a detector: its files, camera and classes, and what counts in it."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -116,7 +116,7 @@ LEAST_SHARE: Final = Visibility().least_share
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GivenRecording:
-    """A recording as a command was given it.
+    """A recording as given to a command.
 
     Attributes:
         detections: File or folder with what the detector reported.
@@ -148,7 +148,7 @@ class GivenRecording:
 
     @property
     def visibility(self) -> Visibility:
-        """From when a road user should be reported."""
+        """From when on a road user should be reported."""
         return Visibility(most_occlusion=self.most_occlusion, least_share=self.least_share)
 
     def read(self) -> Recording:
@@ -178,7 +178,7 @@ class GivenRecording:
         )
 
     def words(self, recording: Recording) -> list[str]:
-        """Return what was read, what was left out of it, what counts, and what looks wrong, in sentences.
+        """Describe in sentences what was read, what was left out, what counts, and what looks wrong.
 
         Args:
             recording: The recording, after it was measured, which counts drives that are too short.

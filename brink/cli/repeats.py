@@ -96,7 +96,7 @@ def repeats(
 
 
 async def _say_where_pairs_are(api: Api, campaign: str, place: str, screen: Console) -> None:
-    """Say how pairs are simulated again if the campaign searched for these rather than for the boundary."""
+    """Explain how to simulate pairs again if the campaign searched for pairs rather than for the boundary."""
     found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
     if found.is_for("pairs"):
         options = f" --confirm {DEFAULT_CONFIRMATIONS}"
@@ -173,7 +173,7 @@ async def repeat_finished(session: Session, campaign: str, times: int) -> Repeat
 
 
 def _print_repeats(screen: Console, view: RepeatsView) -> None:
-    """Print what the repeats show, and the solutions most likely to be unsafe."""
+    """Print the results of the repeats, and the solutions most likely to be unsafe."""
     screen.print(view.words, soft_wrap=True)
     evaluated = [one for one in view.solutions if one.evaluated]
     if not evaluated:
@@ -206,7 +206,7 @@ def _times(view: RepeatsView) -> str:
 
 
 def write_repeats(view: RepeatsView, folder: Path, *, picture: bool) -> list[Path]:
-    """Write the result of repeats as JSON and, if wanted, as a picture; return the files."""
+    """Write the result of repeats as JSON and, optionally, as a picture; return the files."""
     files = [folder / "repeats.json"]
     write_json(files[0], view.model_dump(mode="json"))
     if picture and view.evaluated:

@@ -1,4 +1,4 @@
-"""The folder of results that `brink run` writes, and how it is kept up to date when follow-ups find out more."""
+"""The folder of results that `brink run` writes, and how follow-ups update it."""
 
 import asyncio
 import logging
@@ -39,7 +39,7 @@ def results_folder(out: Path, name: str, campaign: str) -> Path:
 async def write_report(
     api: Api, campaign: str, folder: Path, files: Sequence[Path], *, show: Callable[[str, int, int], None]
 ) -> Path:
-    """Write the report to hand on, with the pictures among the files that are written already; return its file.
+    """Write the report to hand on, reusing the pictures that are already written; return its file.
 
     Args:
         api: Coordinator of the campaign.
@@ -57,7 +57,7 @@ async def write_report(
 
 
 async def update_pairs(api: Api, campaign: str, out: Path, screen: Console) -> None:
-    """Write the pairs in a campaign's folder of results again if more is known of them by now.
+    """Rewrite the pairs in a campaign's folder of results if there is new evidence.
 
     The tables, the pictures of pairs and the report are replaced, as far as the run wrote them. What was replaced is
     printed; so is that there is no folder.

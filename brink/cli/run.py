@@ -214,7 +214,7 @@ class Report:
 async def _write_all(
     session: Session, progress: Progress, body: CampaignBody, folder: Path, *, pictures: bool, replays: int
 ) -> Report:
-    """Write results, comparison and figures of a campaign; Ctrl-C skips the figures that are not drawn yet."""
+    """Write results, comparison and figures of a campaign; Ctrl-C skips the remaining figures."""
     api, campaign = session.api, progress.id
     boundary, results = await write_results(
         api, campaign, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, even_empty=progress.is_for("boundary")
@@ -433,5 +433,5 @@ def _print_other_requirements(screen: Console, file: Path, pairs: PairFindings) 
 
 
 def _about_the_boundary(progress: Progress, report: Report) -> bool:
-    """Return whether the boundary is worth showing: whether the search looked for it."""
+    """Return whether to show the boundary: whether the search was for it."""
     return progress.is_for("boundary")

@@ -19,7 +19,7 @@ def terminal_table(table: Table, shown: int | None = None) -> TerminalTable:
 
 
 def print_table(screen: Console, table: Table, shown: int | None = None, *, more: str = "") -> None:
-    """Print the first rows of a table, and how many there are beyond these.
+    """Print the first rows of a table, and how many more there are.
 
     Args:
         screen: Where to print.

@@ -1,4 +1,4 @@
-"""`brink tolerance`: how gross a component's errors may be, and the requirement that follows."""
+"""`brink tolerance`: how severe a component's errors may be, and the requirement that follows."""
 
 import asyncio
 from collections.abc import Collection, Mapping, Sequence
@@ -146,7 +146,7 @@ def tolerance(
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show how gross errors may be, by type of error, target and condition, or check a detector against that.
+    """Show how severe errors may be, by type of error, target and condition, or check a detector against that.
 
     The campaign must be a search for tolerances, such as that of examples/tolerance.yaml. It may still be running.
 
@@ -232,7 +232,7 @@ def tolerance(
 
 
 def _refuse_unused(is_used: bool, by: str, options: Mapping[str, object]) -> None:
-    """Refuse options that would do nothing.
+    """Reject options that would have no effect.
 
     Raises:
         InvalidInput: One is given.
@@ -243,7 +243,7 @@ def _refuse_unused(is_used: bool, by: str, options: Mapping[str, object]) -> Non
 
 
 def _formats(given: Sequence[str], detections: Path | None) -> tuple[Format | None, str | None]:
-    """Return the format of what is printed, and that of the recording.
+    """Return the output format, and the format of the recording.
 
     ``csv`` is that of the recording if the detections are no .csv file.
 
@@ -298,7 +298,7 @@ def _show(campaign: str, wanted: Output, server: str | None, database: str | Non
 
 
 def _compare(campaign: str, fresh: str, server: str | None, database: str | None, *, as_json: bool) -> None:
-    """Print whether fresh drives are as predicted."""
+    """Print whether fresh drives agree with the predictions."""
 
     async def work(api: Api) -> AgreementView:
         return await api.read(AgreementView, f"/campaigns/{campaign}/tolerance/agreement", {"fresh": fresh})
@@ -343,7 +343,7 @@ def draw_tolerance(view: ToleranceView, path: Path) -> None:
 
 
 def show_tolerance(screen: Console, view: ToleranceView, *, briefly: bool = False) -> None:
-    """Print the requirement: the tolerances, then where more error is safer, and the drives without error.
+    """Print the requirement: the tolerances, where a larger error is safer, and the drives without error.
 
     Args:
         screen: Where to print.

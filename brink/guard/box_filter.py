@@ -1,4 +1,4 @@
-"""Which reported boxes cannot be real: they contradict the ground plane or the ego's motion, or appear from nothing.
+"""Detects boxes that cannot be real: they contradict the ground plane or the ego's motion, or come out of nowhere.
 
 A body that stands on level ground has a bottom edge below the horizon, and its distance and its height in the image
 give its height in metres. What it does in the world follows from how its box moves and from the ego's own motion.
@@ -36,7 +36,7 @@ _SIGMAS: Final = 3.0
 
 @dataclass(frozen=True, kw_only=True)  # without slots, so that a class can inherit from it and another one
 class BoxFilterSettings:
-    """What a box may do without being taken for implausible.
+    """The limits within which a box counts as plausible.
 
     Attributes:
         vehicle_speed_mps: Fastest vehicle.
@@ -108,7 +108,7 @@ class BoxFilter:
         return tuple(kept)
 
     def _stands_on_ground(self, box: Box) -> bool:
-        """Return whether a box may show a body of its label that stands on level ground."""
+        """Return whether a box is consistent with a body of its label that stands on level ground."""
         camera = self._camera
         depth_m = camera.ground_depth_m(box.y_max_px)
         if depth_m is None or depth_m > camera.far_m:
@@ -124,7 +124,7 @@ class BoxFilter:
         return not (too_low or too_high)
 
     def _doubted_until_s(self, time_s: float, box: Box, others: Sequence[Box]) -> float:
-        """Return until when a box that appears now is doubted; minus infinity if it may have come into view."""
+        """Return until when a box that appears now is doubted; minus infinity if it may just have come into view."""
         settings, camera = self._settings, self._camera
         depth_m = camera.ground_depth_m(box.y_max_px)
         at_side = box.x_min_px < _SIDE_PX or box.x_max_px > camera.width_px - _SIDE_PX
@@ -136,7 +136,7 @@ class BoxFilter:
         return time_s + settings.doubted_s
 
     def _moves_plausibly(self, body: _Seen, time_s: float, ego: EgoState) -> bool:
-        """Note where a body is now, and return whether it can have got there."""
+        """Record the position of a body, and return whether it can have moved there."""
         settings, camera, box = self._settings, self._camera, body.box
         depth_m = camera.ground_depth_m(box.y_max_px)
         is_cut = (
@@ -167,7 +167,7 @@ class BoxFilter:
 
 
 def _same(box: Box, bodies: Sequence[_Seen]) -> _Seen | None:
-    """Return the body that a box shows: of its label, and the one that it overlaps most; None if it is new."""
+    """Return the body that a box shows: the one of its label that it overlaps most; None if it is new."""
     best, most = None, _SAME_OVERLAP
     for body in bodies:
         if body.box.label is box.label and (shared := overlap(box, body.box)) >= most:

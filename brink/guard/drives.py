@@ -197,7 +197,7 @@ def solution_specs(
 
 
 def _named(what: str, numbers: Sequence[int], most: int = 5) -> str:
-    """Return some numbers in words, such as "solutions 3, 8 and 12 others"."""
+    """Return a list of names, such as "solutions 3, 8 and 12 others"."""
     if len(numbers) == 1:
         return f"{what} {numbers[0]}"
     shown = ", ".join(str(one) for one in numbers[:most])
@@ -208,7 +208,7 @@ def _named(what: str, numbers: Sequence[int], most: int = 5) -> str:
 def check_verdicts(
     drives: Sequence[Drive], requirements: Sequence[str], archive: Archive, whose: str
 ) -> None:
-    """Check that the drives of a campaign ended as they did the first time.
+    """Check that the drives of a campaign ended as in the campaign.
 
     Args:
         drives: The recorded drives, one for each solution.

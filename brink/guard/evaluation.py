@@ -99,14 +99,14 @@ class PredictorResult:
 
     @property
     def shown(self) -> WarningPoint:
-        """The compared point; of the baselines that always or never raise an alarm, the only one that they have."""
+        """The point used for comparison; for the baselines that always or never raise an alarm, their only point."""
         places = {ALWAYS: -1, NEVER: 0}
         return self.points[places[self.name]] if self.name in places else self.compared
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnAlarms:
-    """What a guard's own alarms did, at its own threshold.
+    """The effect of a guard's own alarms, at its own threshold.
 
     Attributes:
         point: Predicted violations and false alarms.
@@ -255,7 +255,7 @@ class _Watched:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JudgedDrives:
-    """Drives, each of which is judged with a threshold that drives unlike it choose.
+    """Drives, each judged with a threshold chosen on dissimilar drives.
 
     Attributes:
         violated: Whether each is violated, shape ``(n,)``.
@@ -294,7 +294,7 @@ class JudgedDrives:
     def warnings(
         self, strengths: FloatArray, false_alarms: float
     ) -> tuple[WarningPoint, tuple[float, float]]:
-        """Return what a predictor does with alarms in a share of the safe drives, with the interval of its recall.
+        """Return how well a predictor warns if it alarms in a share of safe drives, with the interval of its recall.
 
         Args:
             strengths: The highest confirmed score of each drive until each of `LEADS_S` before its violation; of a
@@ -353,7 +353,7 @@ def predict(model: GuardModel, features: Sequence[NDArray[np.float16]]) -> list[
 
 
 def confirmed(scores: FloatArray, steps: int) -> FloatArray:
-    """Return the highest threshold that scores have met for some steps in a row, at each step.
+    """Return, at each step, the highest threshold that the scores have reached for several steps in a row.
 
     Args:
         scores: Scores, shape ``(n,)``.

@@ -1,4 +1,4 @@
-"""Fallbacks: what the car does while its guard asks for it.
+"""Fallbacks: how the car reacts while its guard asks for it.
 
 A fallback sits on both sides of the driving system. Before it, it may remove boxes from the observation; after it, it
 may change the command. It never steers, and it never accelerates harder than the driving system does. Three of them:
@@ -111,7 +111,7 @@ class _LimitsAcceleration(ABC):
         return self._intervention.active
 
     def perceive(self, observation: Observation, reading: GuardReading) -> Observation:
-        """Return the observation as it is."""
+        """Return the observation unchanged."""
         return observation
 
     def step(self, observation: Observation, command: Command, reading: GuardReading) -> Command:
@@ -147,7 +147,7 @@ class SlowDownSettings(InterventionSettings):
 
 
 class SlowDown(_LimitsAcceleration):
-    """`slow-down@1`: caps the speed. A slow car does not stand in anybody's way, so alarms may last.
+    """`slow-down@1`: caps the speed. A slow car blocks nobody, so alarms may last.
 
     Args:
         settings: Its settings.
@@ -179,7 +179,7 @@ class SafeStopSettings(InterventionSettings):
 
 
 class SafeStop(_LimitsAcceleration):
-    """`safe-stop@1`: brakes, to a stop if the alarm lasts that long, and goes on when it is over.
+    """`safe-stop@1`: brakes, to a stop if the alarm lasts that long, and continues when it is over.
 
     Args:
         settings: Its settings.
@@ -203,7 +203,7 @@ class IgnoreBoxesSettings(InterventionSettings, BoxFilterSettings):
 
 
 class IgnoreBoxes:
-    """`ignore-boxes@1`: hides boxes from the driving system that cannot be real; see `BoxFilter`.
+    """`ignore-boxes@1`: hides implausible boxes from the driving system; see `BoxFilter`.
 
     It prevents violations that ghosts cause, such as swerving around nothing, and none by what is not reported. A
     real road user who is detected late looks like one who appears from nothing, so it may do harm.
@@ -233,7 +233,7 @@ class IgnoreBoxes:
         return observation._replace(boxes=plausible) if active else observation
 
     def step(self, observation: Observation, command: Command, reading: GuardReading) -> Command:
-        """Return the command as it is."""
+        """Return the command unchanged."""
         return command
 
 
@@ -248,9 +248,9 @@ class NoFallback:
         pass
 
     def perceive(self, observation: Observation, reading: GuardReading) -> Observation:
-        """Return the observation as it is."""
+        """Return the observation unchanged."""
         return observation
 
     def step(self, observation: Observation, command: Command, reading: GuardReading) -> Command:
-        """Return the command as it is."""
+        """Return the command unchanged."""
         return command

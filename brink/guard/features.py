@@ -222,7 +222,7 @@ class _Seen:
 
 
 class _Step(NamedTuple):
-    """What later steps need to know of a perception step."""
+    """The values of a perception step that later steps need."""
 
     speed_mps: float
     accel_mps2: float
@@ -496,7 +496,7 @@ def _most_relevant(seen: Sequence[_Seen]) -> _Seen | None:
 
 
 def _ttc_s(one: _Seen, speed_mps: float) -> float:
-    """Return the time to collision with a box, by its faster approach; a new box is taken to stand."""
+    """Return the time to collision with a box, by its faster approach; a new box is assumed to be stationary."""
     base_rate, _, growth, _ = one.rates
     closing = -base_rate if one.age else speed_mps
     by_base = one.believed_m / closing if closing > 0.1 else MAX_TTC_S

@@ -125,7 +125,7 @@ class GuardedLoop:
         )
 
     def worth(self, condition: Condition, part: BoolArray | None = None) -> GuardWorth:
-        """Return what the guard and its fallback did under a condition.
+        """Return the effect of the guard and its fallback under a condition.
 
         Args:
             condition: The condition.
@@ -141,7 +141,7 @@ class GuardedLoop:
         return np.isin(seeds, np.unique(seeds)[: np.unique(seeds).size // 2])
 
     def recommended(self, most_lost: float = MOST_LOST) -> Condition | None:
-        """Return the condition in which violations fall most, without losing too much distance; None without one.
+        """Return the condition with the fewest violations that does not lose too much distance; None without one.
 
         It is chosen on the drives of `chooses`, so that the others can tell what it is worth. Of several, it is that
         with the highest threshold, which has the fewest alarms. There is none with a single seed.

@@ -31,7 +31,7 @@ MAX_HOLD_S: Final = 600.0
 
 
 class Sensor(StrEnum):
-    """What a car has beside its obstacle detector."""
+    """The sensors of a car besides its obstacle detector."""
 
     BOXES = "boxes"
     """Nothing."""

@@ -11,7 +11,7 @@ from brink.sim.guard.interface import Guard, GuardReading, KnownConditions, Rang
 
 
 class Alarm:
-    """The alarm of one drive: raised if a probability stays high, and kept until it has stayed low for a while.
+    """The alarm of one drive: raised while a probability stays high, and held until it has stayed low for a while.
 
     Args:
         rule: The rule of the alarm.
@@ -113,7 +113,7 @@ class FittedGuards:
         self.own_threshold = model.alarm.threshold
 
     def __call__(self, route: Route, conditions: KnownConditions, threshold: float | None) -> Guard:
-        """Return a new guard, which raises the alarm from a threshold on."""
+        """Return a new guard with an alarm threshold."""
         model, rule = self._model, self._model.alarm
         if threshold is not None:
             release = threshold * rule.release / rule.threshold if rule.threshold > 0.0 else 0.0
@@ -122,7 +122,7 @@ class FittedGuards:
 
 
 def guards_in(file: Path) -> FittedGuards:
-    """Return what makes the guard in a file.
+    """Return the factory of the guard in a file.
 
     Raises:
         GuardFileError: The file is no guard.

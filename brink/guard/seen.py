@@ -1,4 +1,4 @@
-"""What a guard has seen in fitting: digests of the scenarios, behaviours and solutions of its drives.
+"""A guard's training data: digests of the scenarios, behaviours and solutions of its drives.
 
 They are stored in the guard, so that drives on which it is judged can be told from those that it was fitted to, by
 whatever campaign or seed they came about. The same solution with another seed is no fresh drive, unless the detector
@@ -23,7 +23,7 @@ _HEX: Final = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeenDrives:
-    """What a guard has seen in fitting, as digests.
+    """The training data of a guard, as digests.
 
     Attributes:
         solutions: Its complete solutions; those that report nothing with their episode seeds.
@@ -37,7 +37,7 @@ class SeenDrives:
 
     @classmethod
     def of(cls, drives: Iterable[Drive]) -> Self:
-        """Return what is seen in some drives."""
+        """Return the training data from some drives."""
         given = list(drives)
         return cls(
             solutions=frozenset(_solution(one.scenario, one.behaviour, one.seed) for one in given),
@@ -47,7 +47,7 @@ class SeenDrives:
 
     @classmethod
     def by(cls, about: Mapping[str, Any]) -> Self | None:
-        """Return what the guard with this `about` has seen; None if it does not say."""
+        """Return the training data of the guard with this `about`; None if it is not recorded."""
         stored = about.get(ABOUT)
         if not isinstance(stored, Mapping):
             return None
@@ -61,7 +61,7 @@ class SeenDrives:
         return {name: sorted(getattr(self, name)) for name in self.__slots__}
 
     def repeats(self, specs: Sequence[EpisodeSpec]) -> int:
-        """Return how many of some episodes it has seen."""
+        """Return how many of some episodes are in the training data."""
         return sum(
             _solution(scenario_of(spec), behaviour_of(spec), spec.seed) in self.solutions for spec in specs
         )

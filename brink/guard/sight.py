@@ -1,4 +1,4 @@
-"""What could have been known of a violation before it happened: by the detector's output, and by a range sensor.
+"""The warning signs of a violation before it happened: in the detector's output, and to a range sensor.
 
 A monitor of outputs sees what is reported, never who is there. It can only infer from what it sees, such as a box
 that vanishes, that something is wrong. If nothing is reported, there is nothing to infer from but the drive itself.
@@ -38,7 +38,7 @@ class Reported(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sight:
-    """What could have been known of a violation.
+    """The warning signs of a violation.
 
     Attributes:
         reported: What was reported within `WINDOW_S` before it.
@@ -53,7 +53,7 @@ class Sight:
 
 
 def sight_of(trace: Trace, requirement: Judged) -> Sight | None:
-    """Return what could have been known of the first violation of a drive; None if it has none.
+    """Return the warning signs of the first violation of a drive; None if it has none.
 
     Args:
         trace: The drive.
@@ -81,7 +81,7 @@ def sight_of(trace: Trace, requirement: Judged) -> Sight | None:
 
 
 def _in_range(trace: Trace, sample: int, actor: int) -> bool:
-    """Return whether a road user is within range of a range sensor on the front bumper, whatever is in between."""
+    """Return whether a road user is within range of a range sensor on the front bumper, ignoring occlusion."""
     other = trace.actors[actor]
     x_m, y_m, yaw_rad = (float(value) for value in trace.ego[sample, :3])
     at_x_m, at_y_m, turned_rad = (float(value) for value in other.motion[sample, :3])

@@ -236,7 +236,7 @@ class SketchView:
 
 
 def _edge_hidden(text: Sequence[float], box: Sequence[float]) -> float:
-    """Return how much a text hides of a box: most of all its edges, for a large box less of what is within."""
+    """Return how much of a box a text hides: mainly its edges and, for a large box, less its inside."""
     within = (box[0] + 2, box[1] + 2, box[2] - 2, box[3] - 2)
     inner = shared_area(text, within) if within[2] > within[0] and within[3] > within[1] else 0.0
     return 20 * (shared_area(text, box) - inner) + inner

@@ -1,4 +1,4 @@
-"""A matplotlib figure that draws every text as it stands.
+"""A matplotlib figure that draws every text literally.
 
 Names of campaigns, parameters and choices come from users and plug-ins. Matplotlib would read ``$…$`` in them as
 mathematics, which may fail to parse after hours of simulation, and would warn about every character that its font
@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 
 class LiteralFigure(Figure):
-    """A figure without mathematics, in which other installed fonts provide what a text's own font lacks."""
+    """A figure without mathtext, which falls back to other installed fonts for missing characters."""
 
     def draw(self, renderer: RendererBase) -> None:
         """Draw the figure."""

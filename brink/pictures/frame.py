@@ -228,7 +228,7 @@ class FramePainter:
         return self.story.words.replace(held, spare, 1)
 
     def _told(self, violation: ViolatedHere) -> str:
-        """Return a violation in words, and who would have avoided it, if that was measured."""
+        """Describe a violation, and who would have avoided it, if that was measured."""
         return ", ".join(filter(None, (violation.words, avoidable_words(self.trace, violation.requirement))))
 
     def _with_verdict(self, image: Image.Image, sample: int) -> Image.Image:

@@ -1,4 +1,4 @@
-"""What replays show of a guard: its alarms, the interventions of the fallback, and a violation that they prevent."""
+"""How replays show a guard: its alarms, the interventions of the fallback, and a violation that they prevent."""
 
 from typing import Final
 
@@ -22,7 +22,7 @@ _PHRASES: Final = {
 
 
 def guard_words(trace: Trace) -> list[str]:
-    """Return what the guard and the fallback do at each sample: `ALARM`, `FALLBACK` or nothing; all empty without."""
+    """Return the state of the guard at each sample: `ALARM`, `FALLBACK` or nothing; all empty without a guard."""
     guard = trace.guard
     if guard is None:
         return [""] * len(trace.time_s)
@@ -40,7 +40,7 @@ def guard_probability(trace: Trace) -> NDArray[np.float64] | None:
 
 
 def fallback_words(fallback_id: str) -> str:
-    """Return what a fallback does in a few words, such as ``brakes``."""
+    """Return the effect of a fallback in a few words, such as ``brakes``."""
     return _PHRASES.get(fallback_id.partition("@")[0], f"intervenes ({fallback_id})")
 
 

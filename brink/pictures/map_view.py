@@ -181,7 +181,7 @@ def _turned(points: Points, turn_rad: float) -> Points:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Twin:
-    """What a map shows of a second drive from the same start: where its ego is.
+    """A second drive from the same start on a map: the position of its ego.
 
     Attributes:
         ego: Outline of the ego in world coordinates, shape ``(4, 2)``.
@@ -543,7 +543,7 @@ class MapView:
         labels.append(Label(_reduced((x, below), 0.6), text, colour, _around(ends)))
 
     def _bodies(self, sample: int, corner: Points) -> list[Rect]:
-        """Return where the ego and the road users are, which no label should hide."""
+        """Return the positions of the ego and the road users, which no label should hide."""
         shapes = [self._ego[sample]]
         shapes += [shape[sample] for shape, present in self._actors if present[sample]]
         return [_around(shape - corner) for shape in shapes]
@@ -551,7 +551,7 @@ class MapView:
     def _write_beside(
         self, draw: ImageDraw.ImageDraw, labels: list[Label], hidden: list[Rect], places: Places
     ) -> None:
-        """Write each label as close to what it names as is possible without hiding anything.
+        """Write each label as close to its subject as possible without hiding anything.
 
         A label stays on the side where it was in the frame before, unless it would hide something there.
         """
@@ -613,7 +613,7 @@ def _around(corners: Points) -> Rect:
 
 
 def _places(named: Rect, half: tuple[float, float], size_px: tuple[int, int]) -> dict[int, Rect]:
-    """Return where the label of a rectangle may be by number, closest first; none if that is off the map."""
+    """Return where the label of a rectangle may be by number, closest first; none if the rectangle is off the map."""
     left, top, right, bottom = named
     if _is_off(named, size_px):
         return {}
@@ -641,7 +641,7 @@ def _is_off(rect: Rect, size_px: tuple[int, int]) -> bool:
 
 
 def _cost(rect: Rect, placed: list[Rect], hidden: list[Rect], label: Label) -> float:
-    """Return how much a label and the line to what it names would hide; other labels count more than bodies."""
+    """Return how much a label and its leader line would hide; other labels count more than bodies."""
     labels, bodies = (sum(shared_area(rect, one, margin=3.0) for one in rects) for rects in (placed, hidden))
     start, end = _leader(rect, label)
     points = [
@@ -658,14 +658,14 @@ def _is_within(point: tuple[float, float], rect: Rect) -> bool:
 
 
 def _leader(rect: Rect, label: Label) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the ends of the line from a label to what it names."""
+    """Return the ends of the leader line from a label to its subject."""
     left, top, right, bottom = label.named
     start = min(max((left + right) / 2, rect[0]), rect[2]), min(max((top + bottom) / 2, rect[1]), rect[3])
     return start, (min(max(start[0], left), right), min(max(start[1], top), bottom))
 
 
 def _draw_leader(draw: ImageDraw.ImageDraw, rect: Rect, label: Label) -> None:
-    """Draw a line from a label to what it names, unless the two touch."""
+    """Draw a leader line from a label to its subject, unless the two touch."""
     start, end = _leader(rect, label)
     if np.hypot(end[0] - start[0], end[1] - start[1]) > _LEAST_LEADER_PX:
         draw.line((*start, *end), fill=PAPER, width=3)

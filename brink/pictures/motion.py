@@ -1,4 +1,4 @@
-"""What drivers and scripted road users visibly do, in words: plans, scripts and motion, and where the lane ends.
+"""The visible actions of drivers and scripted road users in words: plans, scripts and motion; and the lane's edge.
 
 A script that has a standing road user change lanes moves nobody: words follow the motion that the trace recorded.
 """
@@ -36,7 +36,7 @@ def is_reference(trace: Trace) -> bool:
 
 
 def plan_words(trace: Trace) -> list[str]:
-    """Return what the driver plans at each sample; of a reference driver, what it does: brake, wait or drive."""
+    """Return the driver's plan at each sample; for a reference driver, its action: brake, wait or drive."""
     modes = [str(mode) for mode in trace.plan_mode]
     if not is_reference(trace):
         return modes
@@ -74,7 +74,7 @@ def brakings(trace: Trace) -> list[tuple[int, int]]:
 
 
 def scripts_of(trace: Trace) -> dict[str, list[str]]:
-    """Return what each scripted road user does at each sample in words, by name; empty if there are no scripts."""
+    """Return the action of each scripted road user at each sample in words, by name; empty without scripts."""
     scripts: dict[str, list[str]] = {}
     for event in trace.events:
         if event.kind == ACTION:

@@ -1,4 +1,4 @@
-"""A pair of drives, one safe and one unsafe: what differs between them, and the moment at which that matters.
+"""A pair of drives, one safe and one unsafe: what differs between them, and the decisive moment.
 
 The drives are two neighbouring solutions, or the system's drive and that of a reference driver in its
 place (`brink.pictures.reference`). Both drives run on the same clock. The *moment* of a pair is the unsafe drive's
@@ -94,7 +94,7 @@ class Mark(NamedTuple):
 
 
 class Nearest(NamedTuple):
-    """A point of the curve of the safe drive's distance, with what is said of it."""
+    """A point on the curve of the safe drive's distance, with its caption."""
 
     time_s: float
     gap_m: float
@@ -176,7 +176,7 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairStory:
-    """What the pictures of a pair tell.
+    """The story of a pair, as its pictures tell it.
 
     Attributes:
         pair: The pair.
@@ -205,7 +205,7 @@ class PairStory:
 
     @property
     def sample_s(self) -> float:
-        """Time of the sample that keeps the robustness at the moment."""
+        """Time of the sample that contains the robustness at the moment."""
         return float(self.pair.unsafe.trace.time_s[self.unsafe.decisive])
 
     @property
@@ -228,7 +228,7 @@ class PairStory:
 
     @property
     def gap_required(self) -> str:
-        """What front gap the unsafe drive violates, in words; empty if none."""
+        """The front gap requirement that the unsafe drive violates, in words; empty if none."""
         names = {
             one.requirement for one in self.unsafe.violations if plain_name(one.requirement) == "front-gap"
         }
@@ -237,7 +237,7 @@ class PairStory:
         return f"{REQUIRED_GAP_M:g} m required" + ("" if "front-gap@1" in names else "\nwhile moving")
 
     def window(self) -> Interval:
-        """Return the span of time that matters: from before the reports first differ until after the moment."""
+        """Return the relevant span of time: from before the reports first differ until after the moment."""
         first_s = self.differing[0].start_s if self.differing else self.moment_s
         first_s = min([first_s, *(mark.time_s for mark in (*self.pair.marks, *self.pair.violated))])
         end_s = min(self.end_s, self.moment_s + _FOLLOW_UP_S)
@@ -283,7 +283,7 @@ def pair_story(pair: DrivePair) -> PairStory:
 
 
 def part_state_words(story: PairStory, part: Part, time_s: float) -> str:
-    """Return what a drive of a pair does at a time.
+    """Describe a drive at a time: speed, plan, and the margin of the requirement.
 
     Among the same road users, that is how far it is from the one that the violation is about; otherwise the margin of
     the requirement.
@@ -319,12 +319,12 @@ def has_ended(trace: Trace, time_s: float) -> bool:
 
 
 def outcome_words(side: Side, story: Story) -> str:
-    """Return what happened in a drive: its requirement first, then every other one that was violated."""
+    """Return the outcome of a drive: its requirement first, then every other one that was violated."""
     return side.outcome or story.words
 
 
 def state_words(side: Side, story: Story, time_s: float) -> str:
-    """Return what a drive does at a time: speed, plan, and the margin of the requirement."""
+    """Describe a drive at a time: speed, plan, and the margin of the requirement."""
     motion = motion_words(side.trace, time_s)
     sample = sample_at(side.trace, time_s)
     value = float(side.trace.robustness[story.requirement][sample])
@@ -334,7 +334,7 @@ def state_words(side: Side, story: Story, time_s: float) -> str:
 
 
 def motion_words(trace: Trace, time_s: float) -> str:
-    """Return what a drive does at a time: speed and plan."""
+    """Describe a drive at a time: speed and plan."""
     if has_ended(trace, time_s):
         return ended_words(trace)
     sample = sample_at(trace, time_s)
@@ -346,7 +346,7 @@ def motion_words(trace: Trace, time_s: float) -> str:
 
 
 def _margin_words(title: str, value: float) -> str:
-    """Return what was measured and how that compares with what is required, or else the margin to the limit."""
+    """Describe the measurement and the requirement, or else the margin to the limit."""
     if plain_name(title) == "front-gap":
         gap, note = measured_words(title, value)
         return f"front gap {gap}, {note}" if note else gap
@@ -360,7 +360,7 @@ def _margin_words(title: str, value: float) -> str:
 
 
 def reality_words(story: PairStory) -> str:
-    """Say in sentences whether what is reported is there, and whether the vehicle ahead is reported.
+    """Describe in sentences whether the reported objects exist, and whether the vehicle ahead is reported.
 
     Both up to the moment. What detectors report without errors that were made up is not judged.
     """
@@ -400,13 +400,13 @@ def _about_reports(story: PairStory) -> list[str]:
 
 
 def _there(label: str, share: float) -> str:
-    """Say for which share of the time something is where it is reported."""
+    """Describe for which share of the time an object exists where it is reported."""
     who = f"no {label}" if share == 0 else f"a {label}"
     return f"{who} is where one is reported{_part(share)}"
 
 
 def _how_much(flags: list[bool]) -> str:
-    """Return for how much of the time something is reported; empty if it is never there."""
+    """Return for how much of the time an object is reported; empty if it never exists."""
     if not flags:
         return ""
     share = sum(flags) / len(flags)
@@ -457,7 +457,7 @@ def _moment(trace: Trace, story: Story) -> tuple[float, float]:
 
 
 def counterpart_of(trace: Trace, story: Story) -> int | None:
-    """Return the road user that the violation of a drive is about; None if that is none, or not known."""
+    """Return the road user that the violation of a drive is about; None if there is none, or it is unknown."""
     if story.title not in ("front-gap", "no-collision"):
         return None
     actor = _hit(trace) if story.title == "no-collision" else _ahead(trace, story.decisive)
@@ -465,7 +465,7 @@ def counterpart_of(trace: Trace, story: Story) -> int | None:
 
 
 def _target(trace: Trace, story: Story, shown: int) -> Target | None:
-    """Return what the violation of a drive is about, as it is at the sample that shows the moment."""
+    """Return the target of a drive's violation, at the sample that shows the moment."""
     actor = counterpart_of(trace, story)
     if actor is None:
         return None
@@ -484,7 +484,7 @@ def _target(trace: Trace, story: Story, shown: int) -> Target | None:
 
 
 def _ahead(trace: Trace, sample: int) -> int | None:
-    """Return the vehicle ahead at a sample or, if it cannot be told then, shortly before."""
+    """Return the vehicle ahead at a sample or, if it cannot be determined then, shortly before."""
     for earlier in range(sample, -1, -1):
         if trace.time_s[sample] - trace.time_s[earlier] > _LOOK_BACK_S:
             break
@@ -534,7 +534,7 @@ def _reports_differ(safe: Trace, unsafe: Trace, time_s: float) -> bool:
 
 
 def _report_distance_px(safe: Trace, unsafe: Trace, time_s: float) -> float:
-    """Return by how many pixels the reports of two drives differ at a time, at most the width of the image.
+    """Return the difference between the reports of two drives at a time in pixels, at most the width of the image.
 
     Boxes of a label are compared in the order of their left edges; one without a counterpart differs completely.
     """

@@ -80,7 +80,7 @@ Paint: TypeAlias = Callable[[str], Rgb]
 
 
 class Panel(StrEnum):
-    """What a chart shows below its lanes."""
+    """A panel of a chart below its lanes."""
 
     SPEED = "speed"
     MARGIN = "margin"

@@ -1,4 +1,4 @@
-"""Pictures of a pair: a still image of both drives at the moment that matters, and the frames of a film of both."""
+"""Pictures of a pair: a still image of both drives at the decisive moment, and the frames of a film of both."""
 
 import re
 from dataclasses import replace
@@ -216,7 +216,7 @@ class PairPainter:
 
 
 def pair_still(pair: DrivePair) -> Image.Image:
-    """Return one image of a pair at the moment that matters.
+    """Return one image of a pair at the decisive moment.
 
     Below the change in words are both drives from above at the same time, then the camera image with the boxes that
     were reported in either drive when they differ most, and a chart of both drives over time.
@@ -247,7 +247,7 @@ def pair_still(pair: DrivePair) -> Image.Image:
 
 
 def pair_maps(pair: DrivePair, size: Size = MAP_SIZE) -> tuple[Image.Image, Image.Image]:
-    """Return both drives from above at the moment that matters, in order, without any words around them.
+    """Return both drives from above at the decisive moment, in order, without any text.
 
     Args:
         pair: The pair.
@@ -457,7 +457,7 @@ def _marked(story: PairStory, index: int, time_s: float) -> Marked | None:
 
 
 def _gap(story: PairStory, index: int) -> FrontGap | None:
-    """Return the gap of a drive at the moment, as long as the requirement measured it.
+    """Return the gap of a drive at the moment, with the length that the requirement measured.
 
     It is the front gap; among the same road users, it is the distance to the one that the violation is about.
     """
@@ -487,7 +487,7 @@ def _gap_now(story: PairStory, index: int, time_s: float) -> FrontGap | None:
 
 
 def _is_violated(story: PairStory, part: Part, time_s: float) -> bool:
-    """Return whether a drive violates the requirement at a time; a collision is never over."""
+    """Return whether a drive violates the requirement at a time; a collision lasts for ever."""
     trace = part.side.trace
     if part.story.title == "no-collision":
         return True
@@ -507,7 +507,7 @@ def _crossed(trace: Trace, time_s: float) -> NDArray[np.float64] | None:
 
 
 def _verdict_lines(draw: ImageDraw.ImageDraw, story: PairStory, index: int, width_px: float) -> list[_Line]:
-    """Return what happened in a drive, what simulating it again showed, and how it was at the moment."""
+    """Return the outcome of a drive, the result of simulating it again, and its state at the moment."""
     part = story.parts[index]
     side = part.side
     time_s, judged_s = story.moment_s, _judged_s(story)
@@ -526,12 +526,12 @@ def _verdict_lines(draw: ImageDraw.ImageDraw, story: PairStory, index: int, widt
 
 
 def _judged_s(story: PairStory) -> float:
-    """Return the time of the sample that tells of the moment: distances are those of the sample that shows it."""
+    """Return the time of the sample that decides the moment; distances come from the sample that shows it."""
     return story.sample_s if story.pair.about_reports else story.shown_s
 
 
 def _held_but(part: Part) -> bool:
-    """Return whether a drive is the safe one of a pair, and violated another requirement."""
+    """Return whether a drive is the safe one of a pair, but violated another requirement."""
     return not part.is_unsafe and not part.story.violated and bool(part.story.violations)
 
 
@@ -542,7 +542,7 @@ def _chip_colour(part: Part) -> Rgb:
 
 
 def chip_words(part: Part) -> tuple[str, str]:
-    """Return the word on the chip of a drive, and what happened in it as a text that goes on where the chip ends."""
+    """Return the word on the chip of a drive, and its outcome as text that continues where the chip ends."""
     words = outcome_words(part.side, part.story)
     if part.side.chip:
         return part.side.chip, words
@@ -564,7 +564,7 @@ def _draw_chip(draw: ImageDraw.ImageDraw, part: Part, at: tuple[float, float], u
 
 
 def _camera(story: PairStory) -> Image.Image | None:
-    """Return the camera's view of what was reported: both drives' boxes when they differ most; None without any."""
+    """Return the camera's view of the reports: both drives' boxes when they differ most; None without any."""
     safe, unsafe = (side.trace for side in (story.pair.safe, story.pair.unsafe))
     if not story.pair.about_reports:
         return None
@@ -614,7 +614,7 @@ def _joined(reports: list[Reported]) -> list[Reported]:
 
 
 def _report_words(report: Reported) -> str:
-    """Return what was reported, such as ``person, 2 vehicles``."""
+    """Describe the reports, such as ``person, 2 vehicles``."""
     labels = [label_index(label) for label in report.rows[:, 0]]
     counts = [(LABELS[label], labels.count(label)) for label in sorted(set(labels))]
     return ", ".join(name if count == 1 else f"{count} {name}s" for name, count in counts) or "nothing"
@@ -669,7 +669,7 @@ def _plan_entries(story: PairStory) -> list[tuple[str, str]]:
 
 
 def _legend_entries(story: PairStory) -> list[tuple[str, str]]:
-    """Return the keys of what the maps and the chart show, each with its words."""
+    """Return the keys of the maps and the chart, each with its words."""
     seen = [_in_view(story, index) for index in (0, 1)]
     entries = [
         ("unsafe" if part.is_unsafe else "safe", part.side.car or f"{part.name} drive")

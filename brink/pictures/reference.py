@@ -1,4 +1,4 @@
-"""What a reference driver does in the system's place: in words, and as a pair of drives for pictures.
+"""A reference driver in the system's place: its actions in words, and as a pair of drives for pictures.
 
 The trace of a drive with violations may include that of a reference driver among the same scripted road
 users (`brink.sim.encounter.reference`), and says which violations a reference driver would have avoided. The pictures
@@ -114,7 +114,7 @@ class Comparison:
 
     @property
     def name(self) -> str:
-        """What the driver is called, such as ``careful driver``."""
+        """Name of the driver, such as ``careful driver``."""
         return f"{self.driver} driver"
 
     @property
@@ -124,7 +124,7 @@ class Comparison:
 
     @property
     def avoided_by(self) -> str:
-        """That the driver has not braked before the violation, in a sentence; empty if it has."""
+        """A sentence that the driver has not braked before the violation; empty if it has."""
         if self.deed.braked:
             return ""
         how = "having passed earlier" if self.deed.passes else "driving on"
@@ -132,12 +132,12 @@ class Comparison:
 
     @property
     def sentences(self) -> tuple[str, str]:
-        """What the system did, and what the driver does instead, in a sentence each."""
+        """The actions of the system, and those of the driver instead, in a sentence each."""
         return f"The system {self.system}.", f"{_ARTICLES[self.driver]} {self.name} {self.driven}."
 
     @property
     def explanation(self) -> str:
-        """Who the driver is, and who the others are, in sentences."""
+        """Sentences that explain who the driver and the other road users are."""
         return f"{_EXPLANATIONS[self.driver]} {_SETTING}"
 
     def pair(self, trace: Trace) -> DrivePair:
@@ -229,14 +229,14 @@ def comparison_of(trace: Trace, requirement: Judged = None) -> Comparison | None
 
 
 def _about(violations: list[ViolatedHere]) -> ViolatedHere:
-    """Return which of some violations the pictures are about, given by time."""
+    """Return the violations that the pictures are about, by time."""
     first = violations[0]
     soon = [one for one in violations if one.time_s - first.time_s <= _LEADS_TO_S]
     return next((one for one in soon if one.requirement.startswith("no-collision")), first)
 
 
 def _system_words(trace: Trace, violations: Sequence[ViolatedHere]) -> list[str]:
-    """Return what the system violated, with the names of whom that is about: ``it`` for the same one again."""
+    """Describe what the system violated, naming the road user; ``it`` refers to the same one again."""
     words: list[str] = []
     named: int | None = None
     for one in violations:
@@ -254,7 +254,7 @@ def _system_words(trace: Trace, violations: Sequence[ViolatedHere]) -> list[str]
 
 
 def _others(trace: Trace, asked: Sequence[ViolatedHere], shown: Sequence[ViolatedHere]) -> str:
-    """Return what the system violated before and after what the pictures show, in sentences."""
+    """Describe in sentences what the system violated before and after what the pictures show."""
     sentences = [
         (when, _listed(_system_words(trace, some)))
         for when, some in (
@@ -270,7 +270,7 @@ def _listed(words: Sequence[str]) -> str:
 
 
 def _earlier(trace: Trace, about: ViolatedHere, reference: Trace, driver: str) -> str:
-    """Return how much earlier a driver arrives where the violation is; empty if the drives are close together."""
+    """Return how much earlier a driver reaches the place of the violation; empty if the drives are close together."""
     sample = sample_at(trace, about.time_s)
     place = trace.ego[sample, :2]
     arrives_s = []
@@ -288,7 +288,7 @@ def _earlier(trace: Trace, about: ViolatedHere, reference: Trace, driver: str) -
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deed:
-    """What a driver does in place of a violation.
+    """The action of a driver that avoids a violation.
 
     Attributes:
         words: The same in words.
@@ -308,7 +308,7 @@ class Deed:
 
 
 def _deed(trace: Trace, about: ViolatedHere, reference: Trace) -> Deed:
-    """Return what a driver does about a violation.
+    """Return the action by which a driver avoids a violation.
 
     Args:
         trace: The system's drive.
@@ -341,7 +341,7 @@ def _deed(trace: Trace, about: ViolatedHere, reference: Trace) -> Deed:
 
 
 def _without_braking(reference: Trace, about: ViolatedHere, actor: int | None, *, braked: bool) -> Deed:
-    """Return what a driver does who does not brake for whom a violation is about, and why that helps."""
+    """Describe a driver that does not brake for the violation's road user, and why that helps."""
     if actor is None:
         return Deed(
             words=f"drives on and {_INSTEAD.get(plain_name(about.requirement), 'does not')}", braked=braked
@@ -372,13 +372,13 @@ def _without_braking(reference: Trace, about: ViolatedHere, actor: int | None, *
 
 
 def _stays(trace: Trace, actor: int, sample: int) -> bool:
-    """Return whether a road user still stands at the end of a drive that it stood in at a sample."""
+    """Return whether a road user that was stationary at a sample still is at the end of the drive."""
     speeds = trace.actors[actor].motion[sample:, 3]
     return bool((speeds[np.isfinite(speeds)] < STANDS_MPS).all())
 
 
 def _comes_closer(trace: Trace, actor: int, sample: int) -> bool:
-    """Return whether a road user is later nearer to the route than at a sample."""
+    """Return whether a road user later comes nearer to the route than at a sample."""
     if len(trace.route) < 2:
         return False
     places = trace.actors[actor].motion[sample:, :2]
@@ -387,7 +387,7 @@ def _comes_closer(trace: Trace, actor: int, sample: int) -> bool:
 
 
 def _slow_from(trace: Trace, time_s: float) -> int | None:
-    """Return since when a driver who has braked is slow around a time; None if the driver is not."""
+    """Return since when a driver that has braked has been slow around a time; None if it is not slow."""
     first, last = (sample_at(trace, time_s + offset_s) for offset_s in (-_BEFORE_S, _AFTERWARDS_S))
     speed_mps = trace.ego[:, 3]
     slowest = first + int(speed_mps[first : last + 1].argmin())

@@ -94,7 +94,7 @@ def render_pair(
 
 
 def render_pair_maps(pair: DrivePair) -> tuple[bytes, bytes]:
-    """Return both drives of a pair from above at the moment that matters, as PNG, in the order of showing.
+    """Return both drives of a pair from above at the decisive moment, as PNG, in the order of display.
 
     Args:
         pair: The pair; its words are not shown.

@@ -159,7 +159,7 @@ def is_car(actor: ActorTrack) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstacles:
-    """Perceived obstacles as they are drawn, one row for each row of ``trace.perceived``.
+    """Perceived obstacles for drawing, one row for each row of ``trace.perceived``.
 
     Attributes:
         yaw_rad: Headings: of the motion, or the ego's for an obstacle that hardly moves, shape ``(k,)``.
@@ -241,32 +241,32 @@ def _obstacles(trace: Trace) -> Obstacles:
 
 
 def may_report_ghosts(trace: Trace) -> bool:
-    """Return whether something may be reported that is not there: not by the truth, nor by errors that hide it."""
+    """Return whether false reports are possible: not with ground truth, or with errors that only hide objects."""
     if has_errors(trace):
         return any(kind.startswith(_GHOST_ERROR) for kind in _error_types(trace))
     return not _is_true(trace)
 
 
 def astray_words(trace: Trace, label: int) -> str:
-    """Return the caption of an obstacle that is astray, such as ``misplaced vehicle``."""
+    """Return the caption of a misplaced obstacle, such as ``misplaced vehicle``."""
     return f"{' or '.join(_errors_of_place(trace)) or 'misplaced'} {LABELS[label]}"
 
 
 def ghost_words(trace: Trace, label: int) -> str:
-    """Return the caption of a ghost; where the errors of the episode do not tell, it may be a true one astray."""
+    """Return the caption of a ghost; if the errors are inconclusive, it may be a misplaced true object."""
     doubt = "".join(f" or {word}" for word in _errors_of_place(trace))
     return f"ghost{doubt} {LABELS[label]}"
 
 
 def _errors_of_place(trace: Trace) -> list[str]:
-    """Return what the errors of an episode may do to what is there: report it misplaced, or mislabelled."""
+    """Return how the errors of an episode may distort true objects: misplace them, or change their labels."""
     kinds = {kind for kind in _error_types(trace) if not kind.startswith(_GHOST_ERROR)}
     places = kinds - _IN_PLACE - {_LABEL_ERROR}
     return [*(["misplaced"] if places else []), *(["mislabelled"] if _LABEL_ERROR in kinds else [])]
 
 
 def _error_types(trace: Trace) -> list[str]:
-    """Return the types of the errors of an episode, of which some simulators have one alone."""
+    """Return the types of the errors of an episode; some simulators have only one."""
     behaviour = spec_part(trace, "behaviour")
     errors = behaviour.get("errors", [behaviour.get("error")])
     if not isinstance(errors, list):
@@ -405,7 +405,7 @@ def front_gap(trace: Trace, sample: int) -> FrontGap | None:
 
 
 def gap_words(gap_m: float) -> str:
-    """Return a gap in so many digits that it can be told apart from the required one."""
+    """Return a gap with enough digits to tell it apart from the required one."""
     for digits in range(1, _MOST_DIGITS):
         shown = f"{gap_m:.{digits}f}"
         if (float(shown) < REQUIRED_GAP_M) == (gap_m < REQUIRED_GAP_M):
@@ -435,7 +435,7 @@ def gap_to(trace: Trace, sample: int, actor: int, gap_m: float | None = None) ->
 
 
 def impact_at(trace: Trace, sample: int, actor: int) -> Impact | None:
-    """Return how the ego and a road user met at a sample; None if they do not touch there."""
+    """Return how the ego and a road user collided at a sample; None if they do not touch there."""
     gap = gap_to(trace, sample, actor)
     if gap is None or gap.gap_m > _TOUCHING_M:
         return None
@@ -459,7 +459,7 @@ def impact_at(trace: Trace, sample: int, actor: int) -> Impact | None:
 
 
 def is_injected(trace: Trace) -> bool:
-    """Return whether the reported boxes were injected: then no detector looked at what is there."""
+    """Return whether the reported boxes were injected, so that no detector processed the scene."""
     return trace.film is None and spec_part(trace, "behaviour").get("mode") not in (
         "detector",
         "oracle",
@@ -512,7 +512,7 @@ def obstacles_on(scene: EpisodeScene, sample: int, actor: int) -> list[int]:
 
 
 def found_at(scene: EpisodeScene, sample: int, row: int) -> tuple[str, ...]:
-    """Return what is where an obstacle is perceived: kinds of road users, and `PARKED` for a parked car."""
+    """Return what is at the position of a perceived obstacle: kinds of road users, and `PARKED` for a parked car."""
     trace = scene.trace
     box = obstacle_outline(scene, row)
     middle, reach_m = box.mean(axis=0), float(np.hypot(*(box[0] - box[2])))
@@ -529,7 +529,7 @@ def found_at(scene: EpisodeScene, sample: int, row: int) -> tuple[str, ...]:
 
 
 def is_there(label: int, kinds: Sequence[str]) -> bool:
-    """Return whether what is at a place is what a label says; a parked car is a vehicle."""
+    """Return whether the objects at a position match a label; a parked car is a vehicle."""
     wanted = _ACTOR_KINDS[label]
     return wanted in kinds or (wanted == "vehicle" and PARKED in kinds)
 
@@ -582,7 +582,7 @@ def closest_points(one: Points, other: Points) -> tuple[Points, Points, float]:
 
 
 def shared_area(one: Sequence[float], other: Sequence[float], margin: float = 0.0) -> float:
-    """Return the area that two rectangles (left, top, right, bottom) share, or nearly share with a margin."""
+    """Return the area of the intersection of two rectangles (left, top, right, bottom), enlarged by a margin."""
     wide = min(one[2], other[2]) - max(one[0], other[0]) + margin
     high = min(one[3], other[3]) - max(one[1], other[1]) + margin
     return max(0.0, wide) * max(0.0, high)

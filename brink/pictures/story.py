@@ -118,7 +118,7 @@ class Story:
 
     @property
     def lag_s(self) -> float:
-        """How long after the sample that tells of it the requirement was violated; 0 without a violation."""
+        """Delay of the violation after the sample that records it; 0 without a violation."""
         return self.violations[0].lag_s if self.violated else 0.0
 
     @property
@@ -189,7 +189,7 @@ def _violations(trace: Trace, chosen: str) -> tuple[ViolatedHere, ...]:
 
 
 def _reads_as(trace: Trace, time_s: float, sample: int) -> int:
-    """Return which sample of a violation or after it has a time that reads as a given one; by default the former."""
+    """Return the sample at or after a violation whose displayed time matches a given one; by default the former."""
     following = range(sample, min(sample + 2, len(trace.time_s)))
     read = clock_words(time_s)
     return next((one for one in following if clock_words(float(trace.time_s[one])) == read), sample)
@@ -229,7 +229,7 @@ def _impact_of(trace: Trace, hit: Event) -> Impact | None:
 
 
 def judged_requirements(trace: Trace, requirement: Judged) -> list[str]:
-    """Return which requirements of a trace are asked for, by default all.
+    """Return the requested requirements of a trace, by default all.
 
     Raises:
         ReplayError: The trace records none of them.
@@ -430,7 +430,7 @@ def report_word(trace: Trace) -> str:
 
 
 def measured_words(requirement: str, robustness: float) -> tuple[str, str]:
-    """Return what a requirement measured, and how that compares with what it requires.
+    """Describe the measurement of a requirement, and its limit.
 
     Of the front gap that is the gap itself, of any other requirement its margin: its distance from being violated.
 
@@ -456,12 +456,12 @@ def measured_words(requirement: str, robustness: float) -> tuple[str, str]:
 
 
 def no_needless_braking(requirement: str, robustness: float) -> bool:
-    """Return whether this is the margin of `no-dangerous-stop` while the ego does not brake, or has a reason to."""
+    """Return whether this is the margin of `no-dangerous-stop` while the ego does not brake without a reason."""
     return plain_name(requirement) == "no-dangerous-stop" and robustness >= NoDangerousStop.horizon
 
 
 def margin_name(requirement: str) -> str:
-    """Return what the robustness of a requirement is called, such as ``front gap margin``."""
+    """Return the name of a requirement's robustness, such as ``front gap margin``."""
     return f"{plain_name(requirement).replace('-', ' ')} margin"
 
 

@@ -89,7 +89,7 @@ _ACTION: Final[Rgb] = (199, 190, 217)
 
 
 def action_colour(words: str) -> Rgb:
-    """Return the colour of what a script has a road user do: grey if it changes nothing, and that of no drive."""
+    """Return the colour of a scripted action: grey if it changes nothing, and never that of a drive."""
     return _UNCHANGED.get(words, _ACTION)
 
 
@@ -126,7 +126,7 @@ def typeface(size_px: int, bold: bool = False) -> ImageFont.FreeTypeFont:
 def wrapped(
     draw: ImageDraw.ImageDraw, words: str, font: ImageFont.FreeTypeFont, width_px: float
 ) -> list[str]:
-    """Split words into lines that are at most so wide; a single word may be wider."""
+    """Split words into lines of at most a given width; a single word may be wider."""
     lines = [""]
     for word in filter(None, re.split(r"[ \n\t]+", words)):  # not at non-breaking spaces
         longer = f"{lines[-1]} {word}".strip()

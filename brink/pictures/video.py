@@ -38,7 +38,7 @@ class Painter(Protocol):
 
     @property
     def key_samples(self) -> list[int]:
-        """Samples that together have all colours of the film."""
+        """Samples that together contain all colours of the film."""
         ...
 
     def frame(self, sample: int) -> Image.Image:

@@ -1,4 +1,4 @@
-"""Whether a detector meets a requirement: shares of drives that its errors make violate, against the limit."""
+"""Whether a detector meets a requirement: shares of drives that violate because of its errors, against the limit."""
 
 import math
 import textwrap
@@ -34,7 +34,7 @@ _TICKS: Final = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 1.0)
 
 
 def figure_detector(view: DetectorView) -> Figure:
-    """Plot a row with an interval for each cell that drives tell something of, in the order of the view.
+    """Plot a row with an interval for each cell with evidence, in the order of the view.
 
     Shares are drawn by their square root, so that small ones can be told apart.
 

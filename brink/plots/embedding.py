@@ -195,7 +195,7 @@ def _draw_background(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
 
 
 def _hatch(axes: Axes, left: float, bottom: float, width: float, height: float) -> None:
-    """Hatch an area in which nothing is known."""
+    """Hatch an area without data."""
     area = Rectangle(
         (left, bottom),
         width,
@@ -239,7 +239,7 @@ def _draw_dots(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
 
 
 def _colours(inputs: CampaignFigures) -> NDArray[np.str_]:
-    """Return the colour of each solution, by what its verdict is about, shape ``(n,)``."""
+    """Return the colour of each solution by its verdict, shape ``(n,)``."""
     colours = np.where(inputs.archive.unsafe, UNSAFE, SAFE)
     return colours if inputs.words is None else np.where(inputs.words.others, OTHER, colours)
 
@@ -412,7 +412,7 @@ def _draw_tint_key(figure: Figure, inputs: CampaignFigures, top: float) -> None:
 
 
 def _list_rings(figure: Figure, inputs: CampaignFigures, drawn: _Map, top: float) -> None:
-    """List the first rings: what is in each, and the neighbourhoods of boundary solutions."""
+    """List the first rings: the solutions in each, and the neighbourhoods of boundary solutions."""
     if not drawn.rings.size:
         return
     if inputs.pairs is not None:

@@ -138,7 +138,7 @@ def figure_repeats(points: Sequence[RepeatedPoint], *, p_th: float, times: str, 
 
 
 def _face(conclusion: Conclusion) -> str:
-    """Return the fill of a dot: hollow where nothing is known."""
+    """Return the fill of a dot: hollow without a verdict."""
     return PAPER if conclusion is Conclusion.INCONCLUSIVE else _CONCLUSIONS[conclusion][0]
 
 

@@ -1,4 +1,4 @@
-"""The trade-off of a guard and its fallback: by how much violations fall, against the distance that is lost."""
+"""The trade-off of a guard and its fallback: the reduction in violations, against the distance that is lost."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -32,7 +32,7 @@ AIM: Final = (0.05, 0.40)
 def figure_guard_tradeoff(
     points: Sequence[tuple[float, GuardWorth]], *, fallback: str, requirements: Sequence[str]
 ) -> Figure:
-    """Plot by how much violations fall against the distance lost, a point for each threshold of the alarm.
+    """Plot the reduction in violations against the distance lost, a point for each threshold of the alarm.
 
     Args:
         points: Thresholds with what the guard did, at least one.
@@ -115,7 +115,7 @@ def _plot(
 
 
 def _plot_caused(axes: Axes, points: Sequence[tuple[float, GuardWorth]]) -> None:
-    """Mark, under each point, which share of the safe drives violates because of the fallback."""
+    """Mark, under each point, the share of safe drives that violate because of the fallback."""
     known = [
         (worth.distance_lost_when_safe.value, worth.caused_share.value)
         for _, worth in points

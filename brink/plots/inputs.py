@@ -10,7 +10,7 @@ from brink.search.space import BoolArray, SearchSpace
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VerdictWords:
-    """What the verdicts of a campaign are about.
+    """The subject of a campaign's verdicts in words.
 
     Attributes:
         held: What safe solutions have in common, such as ``front gap held``.

@@ -39,7 +39,7 @@ _CLOSE_UP: Final = 4.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairFigure:
-    """A pair as its figure shows it.
+    """The contents of a pair's figure.
 
     Attributes:
         safe: Number of the safe solution.
@@ -175,7 +175,7 @@ def _plot_plane(axes: Axes, inputs: CampaignFigures, rows: tuple[FloatArray, ...
 
 
 def _plain(name: str, inputs: CampaignFigures) -> str:
-    """Return the name of a parameter without its component where it is clear without."""
+    """Return the name of a parameter, without its component if it is unambiguous."""
     component, _, parameter = name.partition(".")
     names = [one.partition(".")[2] for one in inputs.space.column_names()]
     return parameter if component == parameter or names.count(parameter) == 1 else name
@@ -212,7 +212,7 @@ def _by_parameter(
 
 
 def _active(inputs: CampaignFigures, pair: PairFigure) -> BoolArray:
-    """Return which parameters had a part in either episode, shape ``(d,)``; all where that was not recorded."""
+    """Return which parameters were active in either episode, shape ``(d,)``; all if that was not recorded."""
     if inputs.active is None:
         return np.ones(inputs.space.dimension, np.bool_)
     places = [int(np.flatnonzero(inputs.archive.numbers == number)[0]) for number in (pair.safe, pair.unsafe)]

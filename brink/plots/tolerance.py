@@ -1,4 +1,4 @@
-"""The curves of tolerances: the share of drives that violate because of an error, against how gross it is."""
+"""The curves of tolerances: the share of drives that violate because of an error, against its severity."""
 
 import math
 import textwrap

@@ -1,1 +1,1 @@
-"""What ``import brink`` offers: campaigns, results, functions and studies, in the words of command line and REST."""
+"""The Python API: campaigns, results, functions and studies, in the words of the command line and REST."""

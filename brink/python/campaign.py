@@ -1,4 +1,4 @@
-"""A campaign as it is written in Python, and every other form that `brink.run` and `Client.submit` take."""
+"""A campaign written in Python, and every other form that `brink.run` and `Client.submit` accept."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -45,7 +45,7 @@ class Campaign:
     more: Mapping[str, Any] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
-        """Return the campaign as a campaign file has it, without what it starts from."""
+        """Return the campaign as in a campaign file, without its prior knowledge."""
         odd = {"odd": dict(self.odd)} if self.odd else {}
         return {
             "name": self.name or f"{self.problem.partition('@')[0]}, {self.algorithm.partition('@')[0]}",
@@ -58,7 +58,7 @@ class Campaign:
 
 
 def body_of(campaign: CampaignLike) -> CampaignBody:
-    """Return the body of a campaign, however it is given.
+    """Return the body of a campaign, in whatever form it is given.
 
     Args:
         campaign: A `Campaign`, the path of a campaign file, or its content.

@@ -1,4 +1,4 @@
-"""Campaigns of a coordinator, or of a database of this machine: submitting, watching and fetching them.
+"""Campaigns of a coordinator, or of a database on this machine: submitting, watching and fetching them.
 
 `AsyncClient` does the work; `Client` is its synchronous form.
 """
@@ -25,7 +25,7 @@ _PAGE: Final = 200
 
 
 async def watch(api: Api, campaign: str, display: Display, timeout_s: float | None = None) -> Progress:
-    """Show the progress of a campaign until it no longer runs, and return its last progress.
+    """Show the progress of a campaign while it runs, and return its last progress.
 
     Args:
         api: Coordinator of the campaign.
@@ -99,7 +99,7 @@ class AsyncSubmitted:
         return await self.result()
 
     async def result(self) -> AsyncResult:
-        """Return what it has found so far."""
+        """Return its results so far."""
         return await AsyncResult.fetch(self._connection, self.id)
 
     async def pause(self) -> None:
@@ -107,11 +107,11 @@ class AsyncSubmitted:
         await self._post("pause")
 
     async def resume(self) -> None:
-        """Resume it after a pause."""
+        """Resume it."""
         await self._post("resume")
 
     async def cancel(self) -> None:
-        """Cancel it. What it has found so far stays."""
+        """Cancel it. Its results so far are kept."""
         await self._post("cancel")
 
     async def _post(self, action: str) -> None:
@@ -120,7 +120,7 @@ class AsyncSubmitted:
 
 
 class AsyncClient:
-    """The campaigns of a place: the methods of `Client`, with ``await``."""
+    """The campaigns of a coordinator or a database: the methods of `Client`, with ``await``."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -196,7 +196,7 @@ def _each(campaigns: list[AsyncSubmitted]) -> list[Submitted]:
 
 
 class Client(Synchronous[AsyncClient]):
-    """The campaigns of a coordinator, or of a database of this machine.
+    """The campaigns of a coordinator, or of a database on this machine.
 
     `AsyncClient` has the same methods with ``await``.
     """
@@ -214,7 +214,7 @@ def connect_async(
 
 
 def connect(url: str | None = None, token: str | None = None, *, database: str | None = None) -> Client:
-    """Return the campaigns of a coordinator, or of a database of this machine.
+    """Return the campaigns of a coordinator, or of a database on this machine.
 
     Args:
         url: Address of the coordinator, such as ``http://127.0.0.1:8700``; by default that in ``BRINK_SERVER``, and

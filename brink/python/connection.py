@@ -1,4 +1,4 @@
-"""Where campaigns are: a coordinator, or a database of this machine."""
+"""Connections to campaigns: a coordinator, or a database on this machine."""
 
 import os
 import tempfile
@@ -21,7 +21,7 @@ RESULTS: Final = Path("brink-results")
 
 
 class Connection(Protocol):
-    """A place with campaigns.
+    """A connection to campaigns.
 
     Attributes:
         where: Its address, for people.
@@ -40,7 +40,7 @@ class Connection(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Coordinator:
-    """A coordinator, and the token that it wants."""
+    """A coordinator, and the token that it requires."""
 
     url: str
     token: str | None = None
@@ -52,7 +52,7 @@ class Coordinator:
 
     @property
     def has_workers(self) -> bool:
-        """Whether workers elsewhere may simulate for it."""
+        """Whether other workers may simulate for it."""
         return True
 
     def open(self) -> AbstractAsyncContextManager[Api]:
@@ -62,7 +62,7 @@ class Coordinator:
 
 @dataclass(frozen=True, slots=True)
 class LocalDatabase:
-    """A database of this machine, opened in this process."""
+    """A database on this machine, opened in this process."""
 
     settings: Settings
 
@@ -73,7 +73,7 @@ class LocalDatabase:
 
     @property
     def has_workers(self) -> bool:
-        """Whether workers elsewhere may simulate for it."""
+        """Whether other workers may simulate for it."""
         return False
 
     def open(self) -> AbstractAsyncContextManager[Api]:
@@ -83,7 +83,7 @@ class LocalDatabase:
 
 @contextmanager
 def environment_with(function: Callable[..., Any] | None) -> Iterator[dict[str, str]]:
-    """Yield environment variables for workers of this machine that can call a function; none without a function.
+    """Yield environment variables with which local workers can call a function; none without a function.
 
     Raises:
         TypeError: The function cannot be pickled.
@@ -101,7 +101,7 @@ def environment_with(function: Callable[..., Any] | None) -> Iterator[dict[str, 
 async def with_workers(
     connection: Connection, workers: int, environment: Mapping[str, str] | None = None
 ) -> AsyncIterator[Api]:
-    """Yield a client of a place where something simulates: workers of this machine, unless there are others.
+    """Yield a client of a connection with workers: local workers, unless there are others.
 
     Args:
         connection: The place.

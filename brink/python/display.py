@@ -1,4 +1,4 @@
-"""The progress of a campaign, shown where Python runs: in a terminal, in a notebook, or as lines in a log."""
+"""Progress of a campaign where Python runs: in a terminal, in a notebook, or as log lines."""
 
 import html
 from contextlib import AbstractContextManager, nullcontext
@@ -46,7 +46,7 @@ class NotebookDisplay:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End; the last state stays."""
+        """End; the last state remains visible."""
 
     def show(self, progress: Progress) -> None:
         """Show the progress of a campaign."""
@@ -76,7 +76,7 @@ def progress_html(progress: Progress) -> str:
 
 
 def display_of(wanted: bool) -> AbstractContextManager[Display]:
-    """Return the display that suits the place where Python runs.
+    """Return the display that suits the environment of this process.
 
     Args:
         wanted: Whether to show anything.

@@ -1,4 +1,4 @@
-"""Results as pandas data frames; pandas is imported when the first one is made."""
+"""Results as pandas data frames; pandas is imported on first use."""
 
 from collections.abc import Mapping, Sequence
 from types import UnionType
@@ -39,7 +39,7 @@ def data_frame(columns: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> "pd.
 
 
 def typed_frame(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, type | UnionType]) -> "pd.DataFrame":
-    """Return a data frame of rows, which has its columns with their types also where there are no rows.
+    """Return a data frame of rows, with the right columns and types even without rows.
 
     Args:
         rows: Rows that have these columns, and possibly others.
@@ -59,7 +59,7 @@ def typed_frame(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, type | 
 
 
 def table_frame(table: Table) -> "pd.DataFrame":
-    """Return a table of findings as a data frame, with its details.
+    """Return a table of findings as a data frame, including its hidden columns.
 
     Raises:
         MissingExtra: pandas is not installed.

@@ -1,4 +1,4 @@
-"""Searching the boundary of a Python function of one's own."""
+"""Searching the boundary of a user's Python function."""
 
 import inspect
 from collections.abc import Callable, Mapping
@@ -40,7 +40,7 @@ async def search_async(
     resume: bool = True,
     progress: bool = True,
 ) -> AsyncResult:
-    """Find where a function of your own changes its sign: the boundary between safe and unsafe.
+    """Find where your own function changes its sign: the boundary between safe and unsafe.
 
     The function is called in worker processes, and every result is stored. Ctrl-C, or cancelling the task,
     pauses the search, and the same call continues it, as long as the function is the same.
@@ -142,7 +142,7 @@ def _check_calls(progress: Progress) -> None:
 
 
 def _defaults(function: Callable[..., Any], algorithm: str) -> dict[str, Any]:
-    """Return settings of an algorithm that suit a function without chance: its boundary is sharp."""
+    """Return algorithm settings that suit a deterministic function, whose boundary is sharp."""
     if simulator.takes_seed(function):
         return {}
     return dict(getattr(make_algorithm(algorithm), "without_chance", {}))

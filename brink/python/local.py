@@ -34,7 +34,7 @@ async def run_async(
     resume: bool = True,
     progress: bool = True,
 ) -> AsyncResult:
-    """Run a campaign on this machine to its end, and return what it found.
+    """Run a campaign on this machine to its end, and return its result.
 
     Ctrl-C, or cancelling the task, pauses it, and nothing is lost: the same call continues it.
 
@@ -125,7 +125,7 @@ async def _start(api: Api, body: CampaignBody, statuses: tuple[CampaignStatus, .
 
 
 async def _watch(api: Api, campaign: str, display: Display, processes: WorkerProcesses) -> Progress:
-    """Show the progress until the campaign no longer runs, and replace workers that died."""
+    """Show progress while the campaign runs, and replace workers that died."""
     while True:
         params = {"since": display.generations}
         progress = await api.read(Progress, f"/campaigns/{campaign}/progress", params)

@@ -1,4 +1,4 @@
-"""Pictures and films that a notebook shows by themselves, and that can be saved."""
+"""Pictures and films that notebooks display, and that can be saved."""
 
 import base64
 import shutil
@@ -29,7 +29,7 @@ class Picture:
         return f"<{self.words}: {_MEDIA[self.suffix]}, {len(self.content):,} bytes; save it with .save(path)>"
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
-        """Return what a notebook shows: the picture, or a player."""
+        """Return what a notebook displays: the picture, or a player."""
         encoded = base64.b64encode(self.content).decode()
         media = _MEDIA[self.suffix]
         bundle = {"text/plain": repr(self)}

@@ -1,4 +1,4 @@
-"""What a campaign found, for Python: data frames, figures, replays.
+"""The result of a campaign, for Python: data frames, figures, replays.
 
 `AsyncResult` does the work; `Result` is its synchronous form.
 """
@@ -88,7 +88,7 @@ class _Words:
 
 
 class CampaignResult:
-    """What is known of a campaign without asking again: its id, its counts, and what was found, in a sentence."""
+    """The facts about a campaign that need no further request: its id, its counts, and its finding in a sentence."""
 
     def __init__(self, connection: Connection, progress: Progress, body: CampaignBody, words: _Words) -> None:
         self._connection = connection
@@ -98,12 +98,12 @@ class CampaignResult:
 
     @property
     def finding(self) -> str:
-        """What was found, in a sentence."""
+        """The finding, in a sentence."""
         return self._words.finding
 
     @property
     def note(self) -> str:
-        """That the result is of an earlier run, or that an earlier run had other code; empty otherwise."""
+        """A note that the result is of an earlier run, or that an earlier run had other code; otherwise empty."""
         return self._words.note
 
     @property
@@ -157,7 +157,7 @@ class CampaignResult:
 
 
 class AsyncResult(CampaignResult):
-    """What a campaign found: the methods of `Result`, with ``await``."""
+    """The result of a campaign: the methods of `Result`, with ``await``."""
 
     _fetched: FetchedArchive | None = None
     function: Callable[..., Any] | None = None
@@ -165,7 +165,7 @@ class AsyncResult(CampaignResult):
 
     @classmethod
     async def fetch(cls, connection: Connection, campaign: str, note: str = "") -> Self:
-        """Return what a campaign has found so far.
+        """Return the result of a campaign so far.
 
         Args:
             connection: Where it is.
@@ -210,7 +210,7 @@ class AsyncResult(CampaignResult):
         return frame
 
     async def boundary(self, t_b: float = DEFAULT_T_B, d_th: float = DEFAULT_D_TH) -> "pd.DataFrame":
-        """Return the distinct boundary solutions as a data frame, best first; of more than 1,000, the best ones.
+        """Return the distinct boundary solutions as a data frame, best first; at most the best 1,000.
 
         A warning says how many there are if these are not all.
 
@@ -226,7 +226,7 @@ class AsyncResult(CampaignResult):
         return typed_frame(rows, types_of(rows[0]) if rows else await self._boundary_columns(view))
 
     async def _boundary_columns(self, empty: Boundary) -> dict[str, type]:
-        """Return the columns of a table of boundary solutions; any evaluated solution shows what was measured."""
+        """Return the columns of boundary solutions; any evaluated solution shows which measurements exist."""
         fetched = await self.archive()
         columns = boundary_columns(fetched.plan.problem.space)
         if not len(fetched.archive):
@@ -292,7 +292,7 @@ class AsyncResult(CampaignResult):
         return await self.pairs()
 
     async def findings(self, kind: str | None = None, table: str | None = None) -> "pd.DataFrame":
-        """Return one kind of what the campaign found as a data frame, or all kinds with a sentence each.
+        """Return one kind of findings as a data frame, or a data frame with a sentence for each kind.
 
         Args:
             kind: The kind, such as ``pairs``; None for an overview of all kinds.
@@ -333,7 +333,7 @@ class AsyncResult(CampaignResult):
         return frame[frame["unsafe"]].reset_index(drop=True)
 
     async def combinations(self) -> "pd.DataFrame":
-        """Return the chains of perturbations that were simulated as a data frame, the most informative first.
+        """Return the simulated chains of perturbations as a data frame, the most informative first.
 
         ``added_harm`` is by how much lower mAP is on the data set than with the most harmful part alone. Effects that
         merely add up count, and it says nothing about hazards in drives. It is empty where that was not measured.
@@ -348,7 +348,7 @@ class AsyncResult(CampaignResult):
         return typed_frame(combination_rows(found), CHAIN_COLUMNS)
 
     async def tolerances(self) -> "pd.DataFrame":
-        """Return how gross each error may be as a data frame.
+        """Return how severe each error may be as a data frame.
 
         Raises:
             CoordinatorError: The campaign did not search for that.
@@ -358,7 +358,7 @@ class AsyncResult(CampaignResult):
         return data_frame([_cell_row(cell) for cell in document["cells"]])
 
     async def plot(self, what: str = "map") -> "Figure":
-        """Draw a figure, which a notebook shows and matplotlib can change.
+        """Draw a figure, which a notebook displays and matplotlib can change.
 
         Args:
             what: ``map`` (similar solutions lie close together), ``parameters`` (how the verdict depends on each),
@@ -383,7 +383,7 @@ class AsyncResult(CampaignResult):
         )
 
     async def pair(self, place: int | None = None, *, film: bool = False) -> Picture:
-        """Draw both drives of a pair side by side; where nothing was driven, what the two differ in.
+        """Draw both drives of a pair side by side or, if nothing was driven, the differences between the two.
 
         Args:
             place: Number of the pair, from 1; by default the one with the best evidence: a confirmed one, if any is.
@@ -447,7 +447,7 @@ class AsyncResult(CampaignResult):
 
 
 class Result(CampaignResult, Synchronous[AsyncResult]):
-    """What a campaign found: data frames, figures, replays. A notebook shows it with its map.
+    """The result of a campaign: data frames, figures, replays. A notebook displays it with its map.
 
     Most methods fetch or simulate what they return. `AsyncResult` has the same methods with ``await``.
     """
@@ -473,7 +473,7 @@ class Result(CampaignResult, Synchronous[AsyncResult]):
     report = synchronous_method(AsyncResult.report)
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows: the finding, the counts and the map."""
+        """Return what a notebook displays: the finding, the counts and the map."""
         if self._shown is None or self._shown[0] != self.finding:
             picture = io.BytesIO()
             self.plot().savefig(picture, format="png", dpi=60)
@@ -497,7 +497,7 @@ class Result(CampaignResult, Synchronous[AsyncResult]):
 
 
 async def _finding(api: Api, progress: Progress) -> str:
-    """Return what a campaign found, in a sentence, and what to try if a search for pairs found none."""
+    """Return the finding of a campaign in a sentence, and suggestions if a search for pairs found none."""
     found = await api.read(Findings, f"/campaigns/{progress.id}/findings", {"rows": 0})
     pairs = found.of_kind("pairs")
     ended = progress.status is CampaignStatus.FINISHED
@@ -508,7 +508,7 @@ async def _finding(api: Api, progress: Progress) -> str:
 
 
 def _what_to_try(progress: Progress, view: PairsView) -> str:
-    """Return what may lead to pairs after a search that found none."""
+    """Return suggestions after a search for pairs that found none."""
     more = f"Try more simulations, such as {4 * progress.budget:,}"
     if view.nearest is not None:
         eps = math.ceil(100 * view.nearest.distance) / 100

@@ -1,4 +1,4 @@
-"""What a search written in Python starts from: an earlier campaign, its result, or a data frame of known points."""
+"""Prior knowledge of searches in Python: an earlier campaign, its result, or a data frame of known points."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
@@ -32,7 +32,7 @@ ROBUSTNESS = "robustness"
 
 
 def started(body: CampaignBody, start_from: Start) -> CampaignBody:
-    """Return a campaign that starts from something.
+    """Return a campaign with prior knowledge.
 
     Args:
         body: The campaign.
@@ -110,13 +110,13 @@ def _solution(place: int, row: Mapping[Any, Any], columns: Mapping[str, str | No
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON has it; None for an empty one."""
+    """Return a value as in JSON; None for an empty one."""
     plain = value.item() if isinstance(value, np.generic) else value
     return None if plain is None or plain != plain else plain
 
 
 def known_from(start_from: StartFrom, space: SearchSpace) -> Known:
-    """Return what a study starts from, which has no campaigns at hand.
+    """Return the prior knowledge of a study, which cannot refer to campaigns.
 
     Args:
         start_from: Known solutions.

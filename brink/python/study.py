@@ -1,4 +1,4 @@
-"""A search whose simulations somebody else runs: `ask` for trials, simulate them, `tell` the results.
+"""A search whose simulations the caller runs: `ask` for trials, simulate them, `tell` the results.
 
 A study needs neither coordinator nor database; `save` keeps its state in a file.
 """
@@ -59,7 +59,7 @@ class Trial:
 
 
 class Study:
-    """A search for the boundary that asks for trials and is told their results.
+    """A search for the boundary that proposes trials with `ask` and receives their results with `tell`.
 
     Args:
         space: The parameters; see `brink.search`.
@@ -133,12 +133,12 @@ class Study:
 
     @property
     def finished(self) -> bool:
-        """Whether the budget is spent and every result is told."""
+        """Whether the budget is spent and all results have been told."""
         return not self._flight and self._algorithm.finished(self._state)
 
     @property
     def open(self) -> list[Trial]:
-        """The trials that were asked for and not told yet."""
+        """Trials that were asked for and not yet told."""
         return [
             self._trial(candidate)
             for generation in self._flight
@@ -198,7 +198,7 @@ class Study:
         return not self._flight and not self._algorithm.finished(self._state)
 
     def _advance(self) -> None:
-        """Pass on the oldest generation for as long as it is complete; an overlapping search is asked first."""
+        """Pass on the oldest generations while they are complete; an overlapping search is asked first."""
         while self._flight and all(candidate.number in self._told for candidate in self._flight[0]):
             if isinstance(self._algorithm, Overlapping) and self._algorithm.can_ask(self._state):
                 return  # the contract: everything that may be asked for is asked for before anything is told

@@ -1,1 +1,1 @@
-"""Recordings of a detector beside the truth, in the formats that people have, and how wrong the detector was."""
+"""Recordings of a detector with ground truth, in common formats, and the detector's errors in them."""

@@ -13,7 +13,7 @@ _FIELDS: Final = ("width", "height", "fx", "fy", "cx", "cy", "above_m", "pitch_d
 
 
 class CameraError(SimulatorError):
-    """A camera that cannot be; the message says what was expected."""
+    """An invalid camera; the message says what was expected."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,7 +144,7 @@ class CameraModel:
         )
 
     def _slopes(self, y_px: float) -> tuple[float, float]:
-        """Return how far a pixel's ray goes down for each metre ahead, and how far ahead for each along the axis."""
+        """Return the vertical slope of a pixel's ray, and the distance ahead for each metre along the axis."""
         pitch_rad = math.radians(self.pitch_deg)
         down = (y_px - self.cy_px) / self.fy_px
         ahead = max(math.cos(pitch_rad) - down * math.sin(pitch_rad), 1e-6)

@@ -28,7 +28,7 @@ def read_content(path: Path) -> str:
 
 
 def read_rows(path: Path, separator: str | None) -> Iterator[tuple[str, list[str]]]:
-    """Yield where each row of a text file stands, for messages, and its fields; empty lines are left out.
+    """Yield the position of each row of a text file, for messages, and its fields, skipping empty lines.
 
     Args:
         path: The file.
@@ -55,7 +55,7 @@ def read_json(path: Path) -> Any:
 
 
 def first_bytes(path: Path) -> bytes:
-    """Return how a file begins; nothing if it is no file that can be read."""
+    """Return the first bytes of a file; empty if it cannot be read."""
     try:
         with open_file(path) as file:
             return file.read(_SNIFFED_BYTES)
@@ -64,7 +64,7 @@ def first_bytes(path: Path) -> bytes:
 
 
 def list_folder(folder: Path) -> list[Path]:
-    """Return what is in a folder, by name; nothing if it is no folder.
+    """Return the content of a folder, by name; empty if it is not a folder.
 
     Raises:
         RecordingError: It cannot be read, or contains too much.
@@ -81,7 +81,7 @@ def list_folder(folder: Path) -> list[Path]:
 
 
 def describe(path: Path) -> str:
-    """Return what a path is, such as ``a folder with 0000.txt, 0001.txt``, for messages."""
+    """Describe what is at a path, such as ``a folder with 0000.txt, 0001.txt``, for messages."""
     entries = [entry.name for entry in list_folder(path)]
     if entries:
         more = f" and {len(entries) - _SHOWN} more" if len(entries) > _SHOWN else ""

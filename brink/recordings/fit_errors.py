@@ -83,7 +83,7 @@ class _Counts:
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Values:
-    """Errors of place and size of everything that was reported.
+    """Errors of position and size of everything that was reported.
 
     Attributes:
         drive: Number of the drive, shape ``(n,)``.
@@ -103,7 +103,7 @@ class _Values:
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Drive:
-    """What a fit needs of one drive."""
+    """The data of one drive that a fit needs."""
 
     hours: float
     step_s: float
@@ -157,7 +157,7 @@ def fit_errors(
 
 
 def _read(meter: ErrorMeter) -> _Drive:
-    """Return events and values of a drive, of images about every `PERCEPTION_STEP_S`."""
+    """Return the events and values of a drive, from images about every `PERCEPTION_STEP_S`."""
     all_times = [time_s for time_s, _ in meter.ghosts]
     own_step_s = round(float(np.median(np.diff(all_times))), 3)
     every = max(round(PERCEPTION_STEP_S / own_step_s), 1)
@@ -221,7 +221,7 @@ def _count(sighting: Sequence[tuple[int, Sample]], drive: _Drive) -> None:
 
 
 def _images_later(step_s: float) -> int:
-    """Return how many images, each a step after the other, are taken in `LATER_S`."""
+    """Return how many images, one step apart, are taken in `LATER_S`."""
     return max(round(LATER_S / step_s), 2)
 
 
@@ -343,7 +343,7 @@ class _Fit:
 
 
 def _drawn(total: FloatArray, count: FloatArray | float, towards: FloatArray) -> FloatArray:
-    """Return means drawn towards others, as if `PRIOR` more samples had these.
+    """Return means shrunk towards others, as if `PRIOR` more samples had these.
 
     Args:
         total: Sums over the samples.

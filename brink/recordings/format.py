@@ -69,7 +69,7 @@ class RecordingBuilder:
         self._tracks: set[tuple[str, float, str]] = set()
 
     def drive(self, name: str, camera: CameraModel | None = None) -> RecordedDrive:
-        """Return a drive, which is added if there is none.
+        """Return a drive, adding it if it is new.
 
         Args:
             name: Its name.
@@ -82,7 +82,7 @@ class RecordingBuilder:
         return drive
 
     def check_size(self, where: str, drive: RecordedDrive, width_px: float, height_px: float) -> None:
-        """Check that the camera of a drive has the size that its files say.
+        """Check that the camera of a drive has the size given in its files.
 
         Raises:
             RecordingError: It has another.
@@ -95,7 +95,7 @@ class RecordingBuilder:
             )
 
     def note_assumed_camera(self, where: Path) -> None:
-        """Note that the cameras of some drives were assumed, unless the user gave all."""
+        """Add a note that the cameras of some drives were assumed, unless the user gave all of them."""
         if any(self.options.camera_of(name) is None for name in self.recording.drives):
             self.recording.notes.append(
                 f"{where} does not say which camera took the images. Assumed a level one with a horizontal field of "
@@ -106,7 +106,7 @@ class RecordingBuilder:
     def pair_sequences(
         self, truth: Mapping[str, Path], detections: Mapping[str, Path], looked_for: str
     ) -> list[tuple[str, Path, Path]]:
-        """Return name, truth and detections of each sequence that has both; what was left out is counted and noted.
+        """Return name, truth and detections of each sequence that has both; count and note what was left out.
 
         Args:
             truth: Where the truth of each sequence is.
@@ -132,7 +132,7 @@ class RecordingBuilder:
         return [(name, truth[name], detections[name]) for name in both]
 
     def set_condition(self, where: str, drive: RecordedDrive, condition: object) -> None:
-        """Set the condition of a drive; None says nothing.
+        """Set the condition of a drive; None leaves it unset.
 
         Raises:
             RecordingError: It is no text, or another than before.
@@ -159,7 +159,7 @@ class RecordingBuilder:
             raise RecordingError(f"{where}: expected at most {MAX_IMAGES} images in a recording")
 
     def add_frames(self, where: str, drive: RecordedDrive, count: int, frames_per_s: float) -> None:
-        """Add the images of a drive that begins at 0 s, where there are none yet.
+        """Add the images of a drive that begins at 0 s, where they are missing.
 
         Raises:
             RecordingError: The recording has too many images.
@@ -170,7 +170,7 @@ class RecordingBuilder:
             self.add_image(where, drive, frame / frames_per_s)
 
     def add_road_user(self, where: str, drive: RecordedDrive, time_s: float, road_user: RoadUser) -> None:
-        """Add a true road user to an image, which is added if there is none.
+        """Add a true road user to an image, adding the image if it is new.
 
         Raises:
             RecordingError: Its track is empty or occurs twice in the image, something that is said of it is out of
@@ -193,7 +193,7 @@ class RecordingBuilder:
             image.road_users.append(replace(road_user, sides=sides, truncation=truncation))
 
     def add_region(self, where: str, drive: RecordedDrive, time_s: float, sides: Sequence[float]) -> None:
-        """Add a region to ignore to an image, which is added if there is none; it may reach beyond the image.
+        """Add a region to ignore to an image, adding the image if it is new; the region may exceed the image.
 
         Raises:
             RecordingError: Its sides are swapped.
@@ -205,7 +205,7 @@ class RecordingBuilder:
             drive.image(time_s).ignored.append(region)
 
     def add_detection(self, where: str, drive: RecordedDrive, time_s: float, detection: Detection) -> None:
-        """Add a detection; it makes no image.
+        """Add a detection, without adding an image.
 
         Raises:
             RecordingError: Its box cannot be, or it is reported behind the camera.
@@ -249,7 +249,7 @@ def assumed_camera(width_px: float, height_px: float) -> CameraModel:
 
 
 def target_of(where: str, name: object) -> Target | None:
-    """Return what a true vehicle is said to be; None if nothing is said, or of a pedestrian.
+    """Return the target class of a true vehicle; None if it is unknown, or for a pedestrian.
 
     Raises:
         RecordingError: The name is unknown.
@@ -274,7 +274,7 @@ def _area(sides: Sides) -> float:
 
 
 def _check_said(where: str, road_user: RoadUser) -> None:
-    """Check what is said of a road user.
+    """Check the attributes of a road user.
 
     Raises:
         RecordingError: A value is out of range.

@@ -1,4 +1,4 @@
-"""Recordings that say where things are in three dimensions: their boxes in the driving system's image.
+"""Recordings with three-dimensional positions: their boxes in the driving system's image.
 
 Every object, true or detected, is an upright box on level ground, and is projected into the driving system's own
 camera on the ego. So truth and detections are compared in the same image, and no camera of the recording is needed.
@@ -64,7 +64,7 @@ def checked_body(where: str, place: Sequence[float], yaw_rad: float, size: Seque
 
 
 def target_by_heading(ego: Pose, body: Solid) -> Target:
-    """Return which way a vehicle goes relative to the ego."""
+    """Return the direction of a vehicle relative to the ego."""
     turn_deg = abs(math.degrees(math.remainder(body.yaw_rad - ego.yaw_rad, math.tau)))
     if turn_deg <= 45.0:
         return Target.LEAD

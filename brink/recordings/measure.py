@@ -1,4 +1,4 @@
-"""How wrong a detector was in each drive of a recording, measured as in simulated drives with a camera.
+"""A detector's errors in each drive of a recording, measured as in simulated drives with a camera.
 
 Boxes are converted to the driving system's image, so that distances mean the same everywhere. Where the recording
 says how far away or how far aside something is, that is used instead of the box.
@@ -64,7 +64,7 @@ class Visibility:
 
     @property
     def words(self) -> str:
-        """What counts as visible, in words."""
+        """The visibility rule in words."""
         return (
             f"at least {self.least_share:.0%} of it in sight, occlusion flag at most {self.most_occlusion}, large "
             "enough for the driving system's camera"
@@ -211,7 +211,7 @@ class _Converter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Placed:
-    """A road user in an image, with its place relative to the ego."""
+    """A road user in an image, with its position relative to the ego."""
 
     user: RoadUser
     box: Box
@@ -224,7 +224,7 @@ class _Placed:
 def _truth(
     where: str, image: Image, convert: _Converter, visibility: Visibility, numbers: dict[str, int]
 ) -> list[TrueBox]:
-    """Return the true boxes of an image, with what they are to the ego.
+    """Return the true boxes of an image, each with its relation to the ego.
 
     The lead is the nearest visible vehicle in the ego's lane that is not said to go another way, the pedestrian the
     nearest visible one within `PEDESTRIAN_WITHIN_M` of the middle of the lane. A vehicle without a given direction
@@ -291,7 +291,7 @@ def _place(user: RoadUser, convert: _Converter, visibility: Visibility) -> _Plac
 
 
 def contradictions(recording: Recording) -> list[str]:
-    """Return in sentences where the boxes of a recording contradict its camera."""
+    """Describe in sentences where the boxes of a recording contradict its camera."""
     own = Camera()
     heights_m: list[float] = []
     ratios: list[float] = []

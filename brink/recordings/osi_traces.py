@@ -61,7 +61,7 @@ _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _FOOTER = 3, 4, 5, 6, 2
 
 
 class TraceMessage(NamedTuple):
-    """A message of a trace: where it stands, for messages to the user, its type, its channel and its content."""
+    """A message of a trace: its position (for error messages), type, channel and content."""
 
     where: str
     type: str
@@ -192,7 +192,7 @@ def _records(path: Path, content: bytes, at: int) -> Iterator[tuple[int, bytes]]
 
 
 def _unpacked(path: Path, chunk: Any) -> bytes:
-    """Return the content of a chunk, which must be as large as it says."""
+    """Return the content of a chunk, which must have the size that it declares."""
     import lz4.frame
     import zstandard
 

@@ -1,4 +1,4 @@
-"""Reads a recording in any format, and what the user says of it."""
+"""Reads a recording in any format, with the user's settings for it."""
 
 import importlib
 import pkgutil
@@ -81,7 +81,7 @@ def read_recording(
 
 
 def _note_copies(recording: Recording) -> None:
-    """Note drives that have the same truth as another, such as a drive under two names."""
+    """Note drives with the same truth as another, such as one drive under two names."""
     names: dict[Hashable, list[str]] = {}
     for name, drive in recording.drives.items():
         truth = tuple(
@@ -121,7 +121,7 @@ def _recognised(detections: Path, truth: Path | None) -> Format:
 
 
 def parse_classes(given: Iterable[str]) -> dict[str, ClassMeaning]:
-    """Return what classes mean.
+    """Return the meanings of classes.
 
     Args:
         given: What the user said, such as ``cyclist=person``.
@@ -155,7 +155,7 @@ class _Settings(Body):
 
 
 def read_settings(path: Path) -> ReadOptions:
-    """Read what the user says of a recording from a YAML file.
+    """Read the user's settings for a recording from a YAML file.
 
     Args:
         path: The file, with any of ``camera``, ``frames_per_s``, ``classes``, ``condition`` and ``drives``.

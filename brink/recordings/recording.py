@@ -1,4 +1,4 @@
-"""What a recording says: drives, their images, the true road users in each, and what a detector reported.
+"""The contents of a recording: drives, their images, the true road users in each, and a detector's reports.
 
 Readers of all formats return a `Recording`. Boxes are in pixels of the drive's own camera; `brink.recordings.measure`
 converts them to the driving system's image and measures the detector's errors.
@@ -74,7 +74,7 @@ class RoadUser:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Detection:
-    """What the detector reported.
+    """One report of the detector.
 
     Attributes:
         label: Its label.
@@ -197,7 +197,7 @@ class Recording:
 
 
 class ClassMeaning(StrEnum):
-    """What a class of a data set means to the driving system."""
+    """The meaning of a class of a data set for the driving system."""
 
     VEHICLE = "vehicle"
     PERSON = "person"
@@ -213,7 +213,7 @@ CLASSES: Final[Mapping[str, ClassMeaning]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadOptions:
-    """What the user says of a recording that its files do not.
+    """The user's settings for a recording, which its files do not contain.
 
     Attributes:
         classes: Meaning of each class, by its name in lower case; classes of the format that are not among them are
@@ -235,7 +235,7 @@ class ReadOptions:
     conditions: Mapping[str, str] = field(default_factory=dict)
 
     def meaning(self, where: str, name: str) -> ClassMeaning:
-        """Return what a class means.
+        """Return the meaning of a class.
 
         Raises:
             RecordingError: Nobody said what it means.
@@ -257,7 +257,7 @@ class ReadOptions:
         return LABELS.get(self.meaning(where, name))
 
     def camera_of(self, drive: str) -> CameraModel | None:
-        """Return the camera that the user gave for a drive; None if nothing is said."""
+        """Return the camera that the user gave for a drive; None if there is none."""
         return self.cameras.get(drive, self.camera)
 
 
@@ -274,7 +274,7 @@ def checked_sides(
     options: ReadOptions,
     size_px: tuple[float, float] | None,
 ) -> Sides | None:
-    """Return a box within its image; None if nothing of it is left, which is counted in the recording.
+    """Return a box clipped to its image; None if nothing of it is left, which is counted in the recording.
 
     Args:
         where: Where the box stands, for messages.

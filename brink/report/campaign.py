@@ -163,7 +163,7 @@ def write_page(file: Path, page: str) -> int:
 
 
 def _key_figures(facts: Facts) -> list[Term]:
-    """Return the numbers that matter, each with what it is of."""
+    """Return the key figures, each with its caption."""
     if not facts.evaluated:
         return []
     view = facts.fetched.outcomes
@@ -295,7 +295,7 @@ def _campaign_file(facts: Facts) -> str:
 
 
 def _again(facts: Facts) -> str:
-    """Return what running the campaign file again gives."""
+    """Describe the result of running the campaign file again."""
     body, digest = facts.view.body, facts.progress.digest
     if body.llm is not None:
         return "run it again; a language model may answer differently, and then the search differs, too"
@@ -309,7 +309,7 @@ def _again(facts: Facts) -> str:
 
 
 def _commands(facts: Facts) -> list[Term]:
-    """Return commands with what they are for."""
+    """Return commands with their purposes."""
     campaign, pairs, told = facts.view.id, facts.pairs, []
     if _campaign_file(facts):
         told.append(Term("brink run campaign.yaml --workers 2", _again(facts)))

@@ -1,4 +1,4 @@
-"""Everything that the report of a campaign tells, fetched over the API."""
+"""Everything that the report of a campaign contains, fetched over the API."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ _ALL_GENERATIONS: Final = 10**9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jobs:
-    """Where the results of a campaign came from.
+    """The sources of a campaign's results.
 
     Attributes:
         simulated: Results that its own jobs gave.
@@ -69,7 +69,7 @@ class RandomSearch:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Facts:
-    """What is known of a campaign.
+    """The facts about a campaign.
 
     Attributes:
         view: The campaign.
@@ -132,7 +132,7 @@ class Facts:
 
     @property
     def left_out(self) -> int:
-        """Simulations whose generation is not complete: their results count nowhere else."""
+        """Simulations of incomplete generations, whose results count nowhere else."""
         return max(
             self.progress.simulations - self.evaluated - failures_of(self.progress) - self.progress.measured,
             0,
@@ -140,7 +140,7 @@ class Facts:
 
     @property
     def computed(self) -> bool:
-        """Whether chance has no part in the verdicts."""
+        """Whether the verdicts are deterministic."""
         return self.fetched.plan.problem.ignores_seeds
 
     @property
@@ -160,7 +160,7 @@ class Facts:
 
 
 async def fetch_facts(api: Api, campaign: str, show: Show, *, episodes: str | None = None) -> Facts:
-    """Fetch everything that the report of a campaign tells.
+    """Fetch everything that the report of a campaign contains.
 
     Args:
         api: Coordinator of the campaign.
@@ -246,7 +246,7 @@ def _rules(fetched: FetchedArchive) -> tuple[Rules | None, str]:
 
 
 async def _jobs(api: Api, campaign: str) -> Jobs:
-    """Count where results came from: a job that was never leased took its result from an identical one."""
+    """Count the sources of results: a job that was never leased took its result from an identical one."""
     simulated = cached = repeated = 0
     after: int | None = 0
     while after is not None:

@@ -1,4 +1,4 @@
-"""The pictures of a campaign's report, drawn anew: those that show what the campaign looked for."""
+"""The pictures of a campaign's report, drawn anew: those that match the purpose of the campaign."""
 
 import asyncio
 from collections.abc import Mapping

@@ -114,7 +114,7 @@ class Album:
         self._files = files
 
     def __call__(self, name: str, words: str) -> list[Picture]:
-        """Return a picture by its file name, with a description; empty if there is none."""
+        """Return a picture with a description by its file name; empty if there is none."""
         file = self._files.get(name)
         if file is None or not file.is_file():
             return []
@@ -139,7 +139,7 @@ def _smaller(file: Path) -> tuple[str, bytes]:
 
 
 def pairs_section(facts: Facts, album: Album, full: Sequence[PairView]) -> Section | None:
-    """Return the pairs, some of them in full; None if there is none to show.
+    """Return the pairs, some of them in full; None if there are none.
 
     Args:
         facts: What is known of the campaign.
@@ -197,7 +197,7 @@ def _shown_pair(facts: Facts, pairs: PairsView, pair: PairView, album: Album) ->
 
 
 def _side_words(facts: Facts, side: SideView, again: ShareView) -> str:
-    """Return what happened in a drive, and how often it was unsafe when it was simulated again."""
+    """Return the outcome of a drive, and how often it was unsafe when it was simulated again."""
     return ". ".join(
         filter(None, (f"{noun(facts)} {side.number}: {side.outcome}", as_sentence(share_words(again))))
     )
@@ -232,7 +232,7 @@ def _rest(facts: Facts, pairs: PairsView, full: Sequence[PairView]) -> Table | N
 
 
 def tolerance_section(facts: Facts, album: Album) -> Section | None:
-    """Return the requirement on the component; None if the campaign looked for something else."""
+    """Return the requirement on the component; None if the campaign had another purpose."""
     view = facts.tolerance
     if view is None or not view.cells:
         return None
@@ -416,7 +416,7 @@ def _avoidable_type(kind: TypeView) -> str:
 
 
 def combinations_section(facts: Facts, album: Album) -> Section | None:
-    """Return the chains of changes to the camera image; None if there is none."""
+    """Return the chains of changes to the camera image; None if there are none."""
     found = facts.combinations
     if found is None or not found.combinations:
         return None
@@ -462,7 +462,7 @@ def combinations_section(facts: Facts, album: Album) -> Section | None:
 
 
 def boundary_section(facts: Facts, album: Album) -> Section | None:
-    """Return the map, with boundary solutions where the search looked for them; None if nothing was evaluated."""
+    """Return the map, with boundary solutions if the search was for them; None if nothing was evaluated."""
     if not facts.evaluated or facts.tolerance is not None:
         return None
     found, searched = facts.boundary, facts.progress.is_for("boundary")
@@ -517,12 +517,12 @@ def boundary_section(facts: Facts, album: Album) -> Section | None:
 
 
 def _listed(found: Boundary) -> str:
-    """Return what the command for the rest lists, unless that is all."""
+    """Return what the command lists beyond the table; empty if that is nothing."""
     return f" lists {found.words}" if len(found.solutions) < found.dbs else ""
 
 
 def _rules(facts: Facts) -> list[str]:
-    """Return the rules with the largest unsafe shares, unless they are useless."""
+    """Return the rules with the largest unsafe shares, unless they are uninformative."""
     rules = facts.rules
     if rules is None or rules.balanced is None or rules.balanced <= USELESS:
         return []

@@ -1,4 +1,4 @@
-"""What the report of a campaign says in sentences: what was asked and found, how sure that is, what was left out."""
+"""Sentences of a campaign's report: the question, the findings, their certainty, and what was left out."""
 
 import dataclasses
 import re
@@ -33,7 +33,7 @@ TIGHTEST: Final = 1
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A term and what is to be said about it."""
+    """A term and its explanation."""
 
     term: str
     words: str
@@ -54,7 +54,7 @@ def count(number: int, noun: str) -> str:
 
 
 def share(part: int, whole: int) -> str:
-    """Return a share in whole per cent, or more precisely where that would be 0 or 100."""
+    """Return a share in whole per cent, or more precisely if that would be 0 or 100."""
     if not whole:
         return "–"
     value = part / whole
@@ -62,7 +62,7 @@ def share(part: int, whole: int) -> str:
 
 
 def noun(facts: Facts) -> str:
-    """Return what a solution is called."""
+    """Return the noun for a solution."""
     return "drive" if facts.drives else "solution"
 
 
@@ -88,7 +88,7 @@ _FOLLOW_UPS: Final = {
 
 
 def purpose(facts: Facts) -> str:
-    """Return what the campaign asked, in a sentence for people who have never seen Brink."""
+    """Return the question of the campaign, in a sentence for people who have never seen Brink."""
     many, of = f"{noun(facts)}s", facts.finding.of
     if of is not None:
         return _FOLLOW_UPS[of.kind].format(many=many, of=f"campaign {of.campaign} ({of.name})")
@@ -121,7 +121,7 @@ def purpose(facts: Facts) -> str:
 
 
 def verdicts(facts: Facts) -> list[str]:
-    """Return how many solutions were safe and unsafe, and with regard to which requirements."""
+    """Return how many solutions were safe and unsafe, and with respect to which requirements."""
     many, view = f"{noun(facts)}s", facts.fetched.outcomes
     if not facts.evaluated:
         return [
@@ -158,7 +158,7 @@ def _of_odd(told: list[str], odd: str) -> list[str]:
 
 
 def findings(facts: Facts) -> list[str]:
-    """Return what the campaign found of what it looked for, with an example."""
+    """Return the findings that match the campaign's purpose, with an example."""
     if not facts.evaluated:
         return []
     told = [f"The result: {facts.finding.words[0].lower()}{facts.finding.words[1:]}"]
@@ -209,7 +209,7 @@ def boundary_words(facts: Facts) -> str:
 
 
 def uncertainties(facts: Facts) -> list[str]:
-    """Return what is uncertain about the result."""
+    """Return the uncertainties of the result."""
     told = []
     if not facts.ended:
         told.append("The campaign has not ended, so all of this may change.")
@@ -249,7 +249,7 @@ def uncertainties(facts: Facts) -> list[str]:
 
 
 def _chance(facts: Facts) -> str:
-    """Return what is known of the part of chance in the result."""
+    """Describe the role of chance in the result."""
     pairs = facts.pairs
     if isinstance(pairs, PairsView) and pairs.searched and pairs.distinct:
         if pairs.tried:
@@ -270,7 +270,7 @@ def _chance(facts: Facts) -> str:
 
 
 def trust(facts: Facts) -> list[Term]:
-    """Return how far the result can be trusted, term by term."""
+    """Describe how far the result can be trusted, term by term."""
     many = f"{noun(facts)}s"
     terms = []
     if facts.computed:
@@ -414,7 +414,7 @@ def _cache(facts: Facts) -> str:
 
 
 def requirement_words(requirement: str) -> str:
-    """Return what a requirement demands, in the words of its plug-in; empty if it does not say."""
+    """Return the text of a requirement from its plug-in; empty if it has none."""
     try:
         plugin = load_plugin(REQUIREMENTS, requirement)
     except (KeyError, SimulatorError):
@@ -425,7 +425,7 @@ def requirement_words(requirement: str) -> str:
 
 
 def ranges(columns: Sequence[ParameterColumn]) -> list[Range]:
-    """Return what was varied; parameters that differ in nothing but digits in their titles share a row.
+    """Return the varied parameters; those whose titles differ only in digits share a row.
 
     Of the choices of a parameter, these are the ones that occurred: a search may have left out others.
 
@@ -436,12 +436,12 @@ def ranges(columns: Sequence[ParameterColumn]) -> list[Range]:
 
 
 def constants(columns: Sequence[ParameterColumn]) -> list[Range]:
-    """Return the parameters that had one value in all evaluated solutions, or no part in any."""
+    """Return the parameters that had one value in all evaluated solutions, or were never active."""
     return _together([one for one in columns if len(_used(one)) < 2])
 
 
 def _used(column: ParameterColumn) -> FloatArray:
-    """Return the different values of a parameter where it had a part."""
+    """Return the different values of a parameter where it was active."""
     return np.unique(column.values[column.active])
 
 
@@ -473,7 +473,7 @@ def _values(column: ParameterColumn) -> str:
 
 
 def fixed(facts: Facts) -> list[tuple[str, str, str]]:
-    """Return what was not varied: settings of the problem, and parameters with one value; with units and meanings."""
+    """Return all that was constant: settings of the problem, and parameters with one value; with units."""
     problem, params = facts.fetched.plan.problem, facts.view.body.problem.params
     about: dict[str, Mapping[str, Any]] = {
         field.name: field.metadata for field in dataclasses.fields(problem.params_type)
@@ -505,7 +505,7 @@ def _value(value: object, unit: str = "") -> str:
 
 
 def standing(facts: Facts) -> str:
-    """Return why the report is not final; empty if the campaign has finished."""
+    """Explain why the report is not final; empty if the campaign has finished."""
     progress = facts.progress
     done = f"{progress.simulations:,} of {count(progress.budget, 'simulation')}"
     reason = f" Reason: {progress.status_reason.removesuffix('.')}." if progress.status_reason else ""

@@ -49,7 +49,7 @@ COLUMNS: Final[Mapping[str, type | UnionType]] = {
 
 
 def combination_rows(found: Combinations) -> list[dict[str, Any]]:
-    """Return the chains as rows with the columns `COLUMNS`; what is unknown is None."""
+    """Return the chains as rows with the columns `COLUMNS`; unknown values are None."""
     names = [name for name in COLUMNS if name not in ("chain", "example")]
     return [
         {

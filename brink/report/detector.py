@@ -1,4 +1,4 @@
-"""Whether a detector meets a requirement, as CSV, Markdown, sentences and as a page."""
+"""Whether a detector meets a requirement, as CSV, Markdown, sentences and a page."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -32,7 +32,7 @@ NUMBERS: Final = ("drives", "median", "95% within", "violate")
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """An interval of a share of drives, on a scale on which small shares can be told apart.
+    """An interval of a share of drives, on a scale that separates small shares.
 
     Attributes:
         low: Where it begins, as a share of the scale.
@@ -46,7 +46,7 @@ class Bar:
 
 
 def place_of(share: float) -> float:
-    """Return where a share of drives lies on the scale of bars, in [0, 1]: proportional to its square root."""
+    """Return the position of a share of drives on the scale of bars, in [0, 1]: proportional to its square root."""
     return math.sqrt(min(max(share, 0.0), 1.0))
 
 
@@ -58,7 +58,7 @@ def bar_of(cell: DetectorCell) -> Bar | None:
 
 
 def evidence(view: DetectorView) -> list[DetectorCell]:
-    """Return the cells of which drives tell something."""
+    """Return the cells with evidence."""
     return [cell for cell in view.cells if cell.result is not CheckResult.NO_DATA]
 
 
@@ -182,7 +182,7 @@ def detector_markdown(view: DetectorView, about: Sequence[str], picture: str | N
 
 
 def small_print(view: DetectorView) -> list[str]:
-    """Return what no drive tells, how often the detector's own drives violated, and what the marks mean."""
+    """Return the fine print: what no drive shows, how often the detector's own drives violated, and the marks."""
     found = list(filter(None, (view.no_data, *_violations(view))))
     if any(cell.at_least for cell in view.cells):
         found.append(AT_LEAST)

@@ -52,7 +52,7 @@ class ShownBox:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One image of an episode: what is said of it, its boxes, and the picture behind them as a data URI, if any."""
+    """One image of an episode: its caption, its boxes, and the picture behind them as a data URI, if any."""
 
     time: str
     words: str
@@ -86,7 +86,7 @@ def worst_strips(
     threshold: float,
     pictures: Path | None = None,
 ) -> list[Strip]:
-    """Return the worst episodes: those of each cell in turn, from the one whose errors make most drives violate.
+    """Return the worst episodes: those of each cell in turn, starting with the errors that make most drives violate.
 
     Args:
         view: The check of the detector.

@@ -1,4 +1,4 @@
-"""The errors of a recorded detector in words, and drives with them beside other drives."""
+"""The errors of a recorded detector in words, and drives with them compared with other drives."""
 
 import math
 from collections.abc import Iterable
@@ -43,7 +43,7 @@ def errors_yaml(fitted: FittedErrors) -> str:
 
 
 def campaign_yaml(fitted: FittedErrors, simulations: int, seed: int) -> str:
-    """Return a campaign file that drives the errors."""
+    """Return a campaign file for drives with the errors."""
     document = {
         "name": f"fitted-{fitted.detector}"[:200],
         "problem": {"id": "urban-fitted@1", "params": {"errors": fitted.to_document()}},
@@ -62,7 +62,7 @@ def _dump(document: Any) -> str:
 
 
 def error_rows(fitted: FittedErrors) -> list[tuple[str, ...]]:
-    """Return a row for each group and bin of distance with images: what the detector does there."""
+    """Return a row for each group and bin of distance with images, with the detector's behaviour there."""
     rows: list[tuple[str, ...]] = []
     process, rests_on = fitted.process, fitted.rests_on
     lasts_s = process.mean_miss_s()
@@ -124,7 +124,7 @@ def _distances() -> Iterable[str]:
 
 
 def error_sentences(fitted: FittedErrors) -> list[str]:
-    """Return what the table does not say, in sentences."""
+    """Return the sentences that complement the table."""
     lines = []
     for i, label in enumerate(LABELS):
         per_hour, *quantiles = fitted.process.ghosts[i].tolist()
@@ -216,7 +216,7 @@ def violations_of(fetched: FetchedArchive) -> Violations:
 
 
 def agreement_words(one: Violations, other: Violations) -> str:
-    """Say whether two shares agree: whether the interval of their difference contains 0.
+    """State whether two shares agree: whether the interval of their difference contains 0.
 
     References:
         Newcombe 1998, method 10 (an interval of a difference from those of two shares).

@@ -203,7 +203,7 @@ def _comparison_text(duel: Duel, first: float, second: float, low: Collection[st
 
 
 def _figure_words(kind: str) -> str:
-    """Return what a figure shows a measure by, such as ``by share of the budget at d_th 0.2``."""
+    """Return the axis against which a figure shows a measure, such as ``by share of the budget at d_th 0.2``."""
     d_th = kind.removeprefix("by-budget-")
     return "by d_th" if d_th == kind else f"by share of the budget at d_th {d_th}"
 

@@ -34,7 +34,7 @@ DASH: Final = "–"
 
 
 def settings_words(eps: float, d_th: float) -> str:
-    """Return in words which pairs are counted."""
+    """Describe which pairs are counted."""
     return (
         f"A pair is a safe and an unsafe solution at most {eps:g} apart, or one step in a single parameter; pairs at "
         f"least {d_th:g} apart are distinct."
@@ -98,7 +98,7 @@ def pair_sentences(repeats: Sequence[PairRepeat], problem: str, *, level: float 
 
 
 def left_out_sentences(left_out: Sequence[LeftOutView], problem: str | None = None) -> Iterator[str]:
-    """Yield list items that name the campaigns left out for having too many pairs, and say what helps.
+    """Yield list items that name the campaigns left out for having too many pairs, with advice.
 
     Args:
         left_out: Campaigns that are left out.

@@ -103,13 +103,13 @@ async def _drives(
 
 
 def headline(pair: PairView) -> str:
-    """Return the change and what it did, or the change alone if that is long."""
+    """Return the change and its consequence, or the change alone if that is long."""
     words = pair.words if len(pair.words) <= _MOST_LETTERS else pair.change
     return as_sentence(words)
 
 
 def findings(pair: PairView) -> list[str]:
-    """Return what the follow-ups of a pair found about the component and about chance, in sentences."""
+    """Describe in sentences what the follow-ups of a pair showed about the component and about chance."""
     found = []
     if pair.component.state in _KNOWN_PARTS:
         found.append(_component_words(pair))
@@ -125,7 +125,7 @@ def findings(pair: PairView) -> list[str]:
 
 
 def _component_words(pair: PairView) -> str:
-    """Say whether the unsafe drive is safe with ground truth in place of the component, and what that means."""
+    """State whether the unsafe drive is safe with ground truth in place of the component, and what that means."""
     first, _, rest = pair.component.outcome.partition("; ")
     others = f" (but {rest})" if rest else ""
     if pair.component.state is ComponentPart.SCENARIO:
@@ -143,7 +143,7 @@ def _drives_a_side(again: ConfirmationView) -> str:
 
 
 def _doubt(again: ConfirmationView) -> str:
-    """Say which side does not keep its verdict with other seeds."""
+    """State which side does not keep its verdict with other seeds."""
     said, safe, unsafe = [], again.safe, again.unsafe
     if verdict_of(safe.unsafe, safe.evaluated, safe.failed) is Verdict.REFUTED:
         said.append(f"the safe side was unsafe in {again.safe.unsafe} of {again.safe.evaluated}")
@@ -154,7 +154,7 @@ def _doubt(again: ConfirmationView) -> str:
 
 
 def facts(view: PairsView, pair: PairView) -> list[str]:
-    """Return what else is known of a pair, in sentences."""
+    """Return further facts about a pair, in sentences."""
     found = [f"Pair {pair.place} of {view.distinct} of {view.name}."]
     if pair.moved:
         found.append(f"{as_sentence(pair.moved)}.")
@@ -182,7 +182,7 @@ def _search_words(pair: PairView) -> str:
 
 
 def share_words(share: ShareView) -> str:
-    """Return how often a side was unsafe with other seeds; empty if that was not tried."""
+    """Return how often a side was unsafe with other seeds; empty if that was not tested."""
     if share.evaluated == 0 or share.probability is None:
         return ""
     counts = f"unsafe in {share.unsafe} of {share.evaluated} simulations with other seeds"

@@ -1,4 +1,4 @@
-"""What is known of pairs, in words for tables: what both sides share, the evidence, and what the terms mean."""
+"""The evidence on pairs, in words for tables: what both sides share, the evidence, and the meaning of terms."""
 
 from brink.search.analysis.confirmation import Confirmation, Share
 from brink.server.findings.pairs.views import ComponentPart, Minimality, PairsView, PairView
@@ -16,7 +16,7 @@ def extent_words(pair: PairView) -> str:
 
 
 def legend(view: PairsView) -> list[str]:
-    """Return what the words of the table mean that need it, one term at a time."""
+    """Explain the words of the table that need it, one term at a time."""
     found = [view.terms] if view.terms else []
     states = {pair.confirmation.state for pair in view.pairs}
     if view.pairs and not view.computed:
@@ -73,7 +73,7 @@ def _interval(unsafe: int, evaluated: int) -> str:
 
 
 def evidence_words(view: PairsView, pair: PairView) -> str:
-    """Return what is known of a pair beyond one simulation of each side, such as ``checked, confirmed 0/10 10/10``.
+    """Return the evidence on a pair beyond one simulation of each side, such as ``checked, confirmed 0/10 10/10``.
 
     The two shares say how often the safe and the unsafe side were unsafe with other seeds.
     """

@@ -33,7 +33,7 @@ def table_row(cells: Sequence[str]) -> str:
 
 
 def markdown_text(text: str) -> str:
-    """Return a text, of others perhaps, that no Markdown reader takes for HTML, and without control characters."""
+    """Return untrusted text escaped so that no Markdown reader takes it for HTML, without control characters."""
     return _TAG.sub(r"\\<", printable(text).replace("\n", " "))
 
 
@@ -43,7 +43,7 @@ def _without_controls(value: Any) -> Any:
 
 @cache
 def page_template(name: str) -> Template:
-    """Return the template of a page, which escapes everything that it is given.
+    """Return the template of a page, which escapes all its values.
 
     Args:
         name: Its file name.

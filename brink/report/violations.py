@@ -64,7 +64,7 @@ def figure_types(found: Violations) -> "Figure":
 
 
 def _first_avoidable(found: Violations) -> list[int]:
-    """Return the solutions with which types became known as avoidable by a careful driver, ascending."""
+    """Return the solutions that first showed a type to be avoidable by a careful driver, ascending."""
     firsts: dict[str, int] = {}
     for one in found.violations:
         if one.avoidable is Avoidable.CAREFUL:

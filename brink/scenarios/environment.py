@@ -42,7 +42,7 @@ _OKTAS: Final = ("zero", "one", "two", "three", "four", "five", "six", "seven", 
 
 
 def friction_scale(time_of_day: TimeOfDay, weather: Weather) -> float:
-    """Return the friction of the road as a share of that of the dry road."""
+    """Return the friction of the road relative to a dry road."""
     return round(conditions(time_of_day, weather).friction / DRY_FRICTION, 6)
 
 

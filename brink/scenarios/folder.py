@@ -1,4 +1,4 @@
-"""Writes an exported drive: the scenario, the roads, and what the standards have no place for."""
+"""Writes an exported drive: the scenario, the roads, and everything that the standards do not cover."""
 
 import json
 import math
@@ -30,7 +30,7 @@ CARLA_FILE: Final = "replay_in_carla.py"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin:
-    """Where a drive comes from.
+    """The origin of an exported drive.
 
     Attributes:
         campaign: Id of the campaign.

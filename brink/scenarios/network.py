@@ -41,7 +41,7 @@ class Contact(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """What a road leads to: an end of another road, or, without a contact, a junction."""
+    """The successor of a road: an end of another road or, without a contact, a junction."""
 
     id: int
     contact: Contact | None = None
@@ -49,7 +49,7 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class Elevation:
-    """Height of a reference line from a place on: a cubic polynomial of the way from there.
+    """Height of a reference line from a station on: a cubic polynomial of the distance from there.
 
     Attributes:
         from_m: Where it begins.
@@ -201,7 +201,7 @@ class JunctionPart:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignalGroup:
-    """Traffic lights that always show the same."""
+    """Traffic lights that always show the same state."""
 
     id: int
     name: str
@@ -235,7 +235,7 @@ class FlatGround:
 
 
 def stretch(line: ReferenceLine, from_m: float, to_m: float) -> ReferenceLine:
-    """Return a part of a line, which may reach beyond its ends, where it continues straight.
+    """Return a part of a line, which may extend straight beyond its ends.
 
     Args:
         line: The line.

@@ -80,7 +80,7 @@ def _complete_header(root: ET.Element, network: RoadNetwork, created_at: datetim
 
 
 def _add_controllers(root: ET.Element, network: RoadNetwork) -> None:
-    """Add the groups of traffic lights, which stand between roads and junctions."""
+    """Add the groups of traffic lights, which the format requires between roads and junctions."""
     first_junction = len(root.findall("header")) + len(root.findall("road"))
     for offset, group in enumerate(network.signal_groups):
         controller = ET.Element("controller", id=str(group.id), name=group.name, sequence=str(offset))

@@ -58,7 +58,7 @@ class Track:
     motion: NDArray[np.float64]
 
     def runs(self) -> Iterator[tuple[int, int]]:
-        """Yield the first sample and the one after the last of each time during which it is present."""
+        """Yield the first sample and the one after the last of each interval during which it is present."""
         present = np.isfinite(self.motion).all(axis=1)
         changes = np.flatnonzero(np.diff(np.concatenate([[False], present, [False]]))).tolist()
         yield from zip(changes[::2], changes[1::2], strict=True)
@@ -203,7 +203,7 @@ class _ScenarioBuilder:
         return story
 
     def _events(self, track: Track) -> Iterator[xosc.Event]:
-        """Yield what a road user does: it enters, moves and leaves, as often as it was recorded."""
+        """Yield the events of a road user: it enters, moves and leaves, as often as it was recorded."""
         moves_ever = track.body.kind is not BodyKind.OBSTACLE
         for number, (first, end) in enumerate(track.runs(), start=1):
             begins_s = float(track.time_s[first])

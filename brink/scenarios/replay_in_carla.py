@@ -74,7 +74,7 @@ class Entity:
 
 
 def between(one: Pose, other: Pose, share: float) -> Pose:
-    """Return the pose at a share of the way from one pose to another."""
+    """Return the pose interpolated between two poses."""
     turn_rad = math.remainder(other.heading_rad - one.heading_rad, 2.0 * math.pi)
     return Pose(
         one.x_m + share * (other.x_m - one.x_m),

@@ -359,7 +359,7 @@ class _NetworkBuilder:
     def _connecting_roads(
         self, number: int, junction: Junction, arms: list[_Arm]
     ) -> Iterable[tuple[RoadPart, _Arm]]:
-        """Yield every way through a junction, with the road that it comes from; straight on first."""
+        """Yield every path through a junction, with the road that it comes from; straight on first."""
         ways = [(one, other) for one in arms for other in arms if one is not other]
         ways.sort(key=lambda way: _turn(*way) != 0)
         for index, (one, other) in enumerate(ways, start=1):
@@ -467,7 +467,7 @@ class _NetworkBuilder:
 
 
 def _elevations(line: ReferenceLine, one: _Arm, other: _Arm) -> tuple[Elevation, ...]:
-    """Return the height of a way through a junction: straights continue the roads, the turn blends between them."""
+    """Return the height of a path through a junction: straights continue the roads, the turn blends between them."""
     if one.height_m == other.height_m and one.slope == other.slope == 0.0:
         return (Elevation(a=one.height_m),)
     straight_m = line.pieces[0].length_m if len(line.pieces) > 1 else 0.0
@@ -490,5 +490,5 @@ def _sign_into(arm: _Arm) -> int:
 
 
 def _turn(one: _Arm, other: _Arm) -> int:
-    """Return where one leaves the junction that enters it on another road: 0 straight on, 1 left, -1 right."""
+    """Return the exit from a junction for an entry and a turn: 0 straight on, 1 left, -1 right."""
     return round(math.sin(other.inward_rad + math.pi - one.inward_rad))

@@ -1,4 +1,4 @@
-"""The worlds whose drives can be exported: what a trace does not say, built again from the drive's specification.
+"""The worlds whose drives can be exported, rebuilt from the drive's specification where the trace is incomplete.
 
 A trace has the motion of all road users. Heights of bodies, lanes, lights and weather follow from the specification.
 Bodies whose axles the world does not model have a wheelbase of 60% of their length, as the ego has.

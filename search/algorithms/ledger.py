@@ -182,7 +182,7 @@ class Ledger:
 
     @property
     def points(self) -> tuple[FloatArray, ...]:
-        """The known points that were not asked for yet."""
+        """Known points that have not been asked for yet."""
         return self.unseen(self.known.points) if len(self.known.points) else ()
 
     @property
@@ -385,7 +385,7 @@ class Ledger:
 
 
 def _known_arrays(known: Known) -> dict[str, Any]:
-    """Return the arrays that store what was known; none if nothing was, as in documents of older versions."""
+    """Return the arrays that store prior knowledge; none without any, as in documents of older versions."""
     arrays: dict[str, Any] = {}
     if len(known):
         arrays |= {
@@ -640,10 +640,10 @@ class LedgerAlgorithm(Generic[C, S]):
 
 
 class WarmLedgerAlgorithm(LedgerAlgorithm[C, S]):
-    """Base class of the algorithms whose `_first_state` makes use of what the ledger knows."""
+    """Base class of the algorithms whose `_first_state` uses the ledger's prior knowledge."""
 
     def start_with(self, space: SearchSpace, config: C, *, seed: int, budget: int, known: Known) -> S:
-        """Return the initial state of a search that starts from what is known; see `WarmStarts`.
+        """Return the initial state of a search with prior knowledge; see `WarmStarts`.
 
         Args:
             space: The search space.

@@ -1,4 +1,4 @@
-"""`minimise@1`: reverts the differences between the two sides of a pair one by one, as long as the verdict stays.
+"""`minimise@1`: reverts the differences between the two sides of a pair one by one while the verdict stays the same.
 
 A trial is the unsafe side of a pair with one unit set to the value of the safe side, simulated under the episode seed
 of the pair. If it is unsafe, it replaces the unsafe side, and all other differences are tried again. A pair is
@@ -90,7 +90,7 @@ class Reductions:
 
     @classmethod
     def of(cls, space: SearchSpace, safe: FloatArray, unsafe: FloatArray) -> Self:
-        """Return pairs of which nothing was reverted yet, from their sides of shape ``(n, d)``."""
+        """Return pairs with nothing reverted yet, from their sides of shape ``(n, d)``."""
         steps = Steps(space)
         nothing = frozen_array(np.zeros((len(safe), len(steps.units)), np.bool_), np.bool_)
         return cls(
@@ -125,7 +125,7 @@ class Reductions:
         return self.trial(pair) is None and not self.failed[pair, open_units].any()
 
     def is_undecided(self, pair: int) -> bool:
-        """Return whether nothing is left to try, but a simulation that would have told failed."""
+        """Return whether nothing is left to try, but a simulation that could have decided failed."""
         return self.trial(pair) is None and not self.is_minimal(pair)
 
     def after(self, trials: Sequence[Trial], unsafe: Sequence[bool | None]) -> Self:
@@ -181,7 +181,7 @@ def most_trials(reductions: Reductions) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reduced:
-    """How far the reduction of the pairs of a campaign is.
+    """Progress of the reduction of a campaign's pairs.
 
     Attributes:
         reductions: The pairs.
@@ -195,7 +195,7 @@ class Reduced:
 
 
 def replay(reductions: Reductions, verdicts: Mapping[int, bool | None], budget: int) -> Reduced:
-    """Return how far a campaign is, from the verdicts of its candidates.
+    """Return the progress of a campaign, from the verdicts of its candidates.
 
     Args:
         reductions: The pairs before anything was reverted.

@@ -63,7 +63,7 @@ class MultiObjectiveConfig(BoundaryConfig):
 
     @property
     def measure(self) -> Distance:
-        """How the distance of two trajectories is measured."""
+        """How the distance between two trajectories is measured."""
         return Distance(self.distance)
 
 
@@ -283,7 +283,7 @@ def select_survivors(state: S, evaluations: Mapping[int, Evaluation], genome: Tr
 
 
 def counts(evaluation: Evaluation) -> bool:
-    """Return whether an evaluation's criticality leads towards what the search looks for."""
+    """Return whether an evaluation's criticality guides the search towards its target."""
     return isinstance(evaluation, Scored) and (evaluation.counts or not evaluation.unsafe)
 
 

@@ -278,7 +278,7 @@ def with_elites(
 
 
 def _best_by_name(niches: Sequence[Niche]) -> Iterable[Niche]:
-    """Return the niches of a solution, those of equal name only once."""
+    """Return the niches of a solution, each name only once."""
     ranked = sorted(niches, key=lambda niche: (niche.rank, niche.value), reverse=True)
     return {niche.name: niche for niche in ranked}.values()
 

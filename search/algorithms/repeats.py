@@ -172,7 +172,7 @@ def schedule(
 
 @dataclass(slots=True)
 class _Tally:
-    """Drives of a solution with other seeds, and the verdict that is to be confirmed."""
+    """Drives of a solution with other seeds, and the verdict to confirm."""
 
     unsafe: bool
     other: int = 0
@@ -242,7 +242,7 @@ class Tallies:
         return inside
 
     def conclusions(self, p_th: float, t_b: float) -> list[Conclusion | None]:
-        """Return what is known of each solution; None without a verdict.
+        """Return the conclusion on each solution; None without a verdict.
 
         An interval that contains `p_th` is no evidence for a boundary by itself: with few simulations, every interval
         does. A solution is near the boundary only if its own simulations meet the criterion of the strict boundary.

@@ -118,7 +118,7 @@ class SimoodConfig(BoundaryConfig):
     )
 
     def quality(self, alpha: _Alpha) -> _Alpha:
-        """Return alpha with the sense of a quality: lower values are more harm."""
+        """Return alpha oriented as a quality: lower means more harm."""
         return alpha if self.alpha == "quality" else -alpha
 
 
@@ -305,7 +305,7 @@ def explained_of(state: SimoodState) -> list[FloatArray]:
 
 
 def budget_for(space: SearchSpace, config: SimoodConfig, evaluations: int) -> int:
-    """Return the budget that ends a search after so many evaluations, those of parts included, and what follows it.
+    """Return the budget for a search of so many evaluations, those of parts included, and for what follows it.
 
     Its `SimoodConfig.generations` may end it earlier.
     """
@@ -370,7 +370,7 @@ def _fitness(state: SimoodState) -> FloatArray:
 
 
 def _qualities(config: SimoodConfig, alphas: FloatArray) -> FloatArray:
-    """Return alphas such that less is more harm; infinite for those that could not be measured."""
+    """Return alphas oriented so that lower means more harm; infinite for those that could not be measured."""
     return np.where(np.isfinite(alphas), config.quality(alphas), np.inf)
 
 

@@ -20,12 +20,12 @@ class Avoidable(StrEnum):
 
     @property
     def words(self) -> str:
-        """What is said of such a violation."""
+        """The phrase for such a violation."""
         return _AVOIDABLE[self]
 
     @property
     def by(self) -> str:
-        """Who that is, for a table."""
+        """The driver, as shown in tables."""
         return _BY[self]
 
 
@@ -70,7 +70,7 @@ def by_words(avoidable: Avoidable | None) -> str:
 
 
 def avoidable_first(avoidable: Avoidable | None) -> int:
-    """Return the place of a violation in an order that begins with what a careful driver would have avoided."""
+    """Return a sort key that puts first the violations that a careful driver would have avoided."""
     return _PLACES[avoidable]
 
 

@@ -150,7 +150,7 @@ def _near(archive: Archive, points: Points, d_th: float) -> BoolArray:
 
 
 def _greedy(near: BoolArray) -> IndexArray:
-    """Return the places that are taken in order, each unless it is near one that was taken before."""
+    """Return the positions that a greedy selection in order keeps, skipping any near an earlier one."""
     is_left, taken = np.ones(len(near), np.bool_), []
     for place in range(len(near)):
         if is_left[place]:

@@ -1,4 +1,4 @@
-"""Whether a pair holds: what drives of both sides with other seeds say of it.
+"""Whether a pair holds: the evidence from drives of both sides with other seeds.
 
 The simulations of the search do not count: a pair is reported because of their verdicts, so they cannot speak against
 it. A pair is confirmed if the verdicts of both sides are, and refuted if one of them is. A wrong claim of either kind
@@ -15,7 +15,7 @@ from brink.search.sequential import FIRST, INTERVAL, Verdict, exact_interval, ve
 
 
 class Confirmation(StrEnum):
-    """What simulations with other seeds say of a pair."""
+    """The evidence on a pair from simulations with other seeds."""
 
     CONFIRMED = "confirmed"
     REFUTED = "refuted"
@@ -27,7 +27,7 @@ class Confirmation(StrEnum):
 
     @property
     def rank(self) -> int:
-        """Place in the order of evidence: 0 speaks for the pair, 1 says nothing, 2 speaks against it."""
+        """Rank of the evidence: 0 supports the pair, 1 is inconclusive, 2 contradicts it."""
         return {Confirmation.CONFIRMED: 0, Confirmation.REFUTED: 2}.get(self, 1)
 
 
@@ -72,7 +72,7 @@ class Share:
 
 
 def confirmation_of(safe: Share, unsafe: Share, *, pending: bool = False) -> Confirmation:
-    """Return what the simulations of both sides of a pair with other seeds say of it.
+    """Return the evidence on a pair from simulations of both sides with other seeds.
 
     Args:
         safe: How often the safe side was unsafe.

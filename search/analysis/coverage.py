@@ -126,7 +126,7 @@ class Coverage:
         return _nearest(self._metric, self._metric.points(rows), self._points)
 
     def reasons(self, rows: FloatArray, nearest: FloatArray) -> tuple[str, ...]:
-        """Return in what each solution is unlike anything simulated, in words; empty if it is not.
+        """Return in words how each solution differs from anything simulated; empty if it does not.
 
         Args:
             rows: Complete solutions, shape ``(m, d)``.

@@ -59,7 +59,7 @@ class ParameterColumn:
 
     @property
     def title(self) -> str:
-        """What people read in place of the name."""
+        """The display name."""
         return parameter_title(self.component, self.parameter)
 
 

@@ -1,4 +1,4 @@
-"""Folds of simulations for cross-validation, which keep together what is alike.
+"""Folds of simulations for cross-validation, which keep similar solutions together.
 
 A model that is scored on a simulation must not have learned from one that is nearly the same. Simulations that were
 drawn at random are independent; those of a search are not: it simulates both sides of a pair, and one scenario with
@@ -72,7 +72,7 @@ def divisions(
 
 
 def connected(kinds: Sequence[IntArray]) -> IntArray:
-    """Return the groups of simulations that share a label of any kind, directly or over others, shape ``(n,)``.
+    """Return the groups of simulations that share a label of any kind, directly or through others, shape ``(n,)``.
 
     Args:
         kinds: Labels, from 0, shape ``(n,)`` each, at least one kind.
@@ -107,7 +107,7 @@ def _spread(groups: IntArray, unsafe: BoolArray, rng: np.random.Generator, folds
 
 
 def kinds_of_solutions(space: SearchSpace, vectors: FloatArray, rng: np.random.Generator) -> list[IntArray]:
-    """Return by what complete solutions are alike: a component that they share, or a small distance.
+    """Return labels of similar complete solutions: those that share a component, or are a small distance apart.
 
     Fresh solutions resemble the simulated ones by chance: scenarios of a few categories recur, and many behaviours
     may report nothing. A component that one of as many random draws has as well therefore makes no solutions alike,
@@ -146,7 +146,7 @@ def _drawn(space: SearchSpace, rng: np.random.Generator) -> FloatArray:
 
 
 def _near(space: SearchSpace, vectors: FloatArray, draws: FloatArray) -> IntArray:
-    """Return labels that solutions share which are equal or nearly so, directly or over others, shape ``(n,)``."""
+    """Return labels shared by equal or nearly equal solutions, directly or through others, shape ``(n,)``."""
     rows, which = np.unique(vectors, axis=0, return_inverse=True)
     metric = Metric.of_space(space)
     nearest = metric.between(draws, rows).min(axis=1)
@@ -163,7 +163,7 @@ def _near(space: SearchSpace, vectors: FloatArray, draws: FloatArray) -> IntArra
 
 
 def _merged(label: IntArray, links: Sequence[IntArray]) -> IntArray:
-    """Return labels after those that are linked were made equal, shape ``(n,)``."""
+    """Return labels with linked ones merged, shape ``(n,)``."""
     from scipy.sparse import csr_array  # slow to import
     from scipy.sparse.csgraph import connected_components
 

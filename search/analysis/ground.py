@@ -39,7 +39,7 @@ class Ground:
 
 
 def is_telling(archive: Archive) -> BoolArray:
-    """Return which neighbourhoods tell where they lie: on one side of the boundary or on it, shape ``(n,)``."""
+    """Return which neighbourhoods are conclusive: on one side of the boundary or on it, shape ``(n,)``."""
     p_th = archive.neighbourhood.p_th
     aside: BoolArray = (archive.interval[:, 0] > p_th) | (archive.interval[:, 1] < p_th)
     return aside | has_evidence(archive)

@@ -1,4 +1,4 @@
-"""What a guard and its fallback are worth: the same drives without and with them, compared with intervals.
+"""The effect of a guard and its fallback: the same drives without and with them, compared with intervals.
 
 The drives are independent draws, whatever seed they were drawn with: the unit of every interval is the drive. A share
 of drives has Wilson's interval, a ratio of two sums over drives a gamma interval (`brink.search.analysis.intervals`).
@@ -71,7 +71,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GuardWorth:
-    """What a guard and its fallback did in drives; shares are in [0, 1].
+    """The effect of a guard and its fallback on drives; shares are in [0, 1].
 
     Attributes:
         drives: Number of drives.
@@ -115,7 +115,7 @@ class GuardWorth:
 
 
 def guard_worth(drives: GuardedDrives, *, confidence: float = CONFIDENCE) -> GuardWorth:
-    """Return what a guard and its fallback did in some drives.
+    """Return the effect of a guard and its fallback on some drives.
 
     Args:
         drives: The drives, at least one.

@@ -301,7 +301,7 @@ def _divisions(drives: Sequence[DriveSeries], rng: np.random.Generator) -> list[
 
 
 def kinds_of_drives(drives: Sequence[DriveSeries]) -> list[IntArray]:
-    """Return by what drives are alike: the numbers of their scenarios and of their behaviours, shape ``(n,)`` each.
+    """Return labels of similar drives: the numbers of their scenarios and of their behaviours, shape ``(n,)`` each.
 
     Drives that report nothing have a behaviour each. An ODD may leave a single scenario or behaviour, or two: those
     are left out.

@@ -123,7 +123,7 @@ def ratio_interval(
 
 
 def clustered(influence: FloatArray, kinds: Sequence[IntArray]) -> FloatArray:
-    """Return the covariance of the sum of values, those with a label in common being dependent, shape ``(p, p)``.
+    """Return the covariance of the sum of values, treating those with a common label as dependent, shape ``(p, p)``.
 
     Args:
         influence: Values with mean zero, shape ``(n, p)``.

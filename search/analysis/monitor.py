@@ -318,7 +318,7 @@ class Monitor:
         )
 
     def encoded(self, values: Mapping[str, Mapping[str, object]]) -> FloatArray:
-        """Return the row of a complete solution, shape ``(d,)``; it may be outside the ODD, which its risk says.
+        """Return the row of a complete solution, shape ``(d,)``; it may lie outside the ODD, as its risk then states.
 
         Args:
             values: ``{component: {parameter: value}}``.

@@ -49,7 +49,7 @@ class DistinctPair:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairCounts:
-    """The distinct pairs of a campaign, and what follow-ups that have ended say about them.
+    """The distinct pairs of a campaign, and the results of finished follow-ups on them.
 
     Attributes:
         distinct: Distinct pairs.
@@ -200,7 +200,7 @@ class PairStanding:
 
 
 class PairMeasure(StrEnum):
-    """What methods are compared on."""
+    """The measure on which methods are compared."""
 
     CONFIRMED = "confirmed"
     DISTINCT = "distinct"
@@ -293,7 +293,7 @@ def _standing(problem: str, method: str, counts: Sequence[PairCounts], *, comput
 
 
 def measure_of(repeats: Sequence[PairRepeat], problem: str) -> PairMeasure:
-    """Return what methods are compared on: confirmed pairs if these are known for every campaign, else all."""
+    """Return the measure on which methods are compared: confirmed pairs if known for every campaign, else all."""
     ours = [repeat for repeat in repeats if repeat.problem == problem]
     known = all(repeat.counts.is_tried and not repeat.computed for repeat in ours)
     anything = any(one.counts.tried for one in ours)
@@ -301,7 +301,7 @@ def measure_of(repeats: Sequence[PairRepeat], problem: str) -> PairMeasure:
 
 
 def measure_words(repeats: Sequence[PairRepeat], problem: str) -> str:
-    """Return a sentence on what methods are compared on, and why."""
+    """Return a sentence that states the measure on which methods are compared, and why."""
     ours = [repeat for repeat in repeats if repeat.problem == problem]
     distinct, tried = sum(repeat.counts.distinct for repeat in ours), sum(one.counts.tried for one in ours)
     if measure_of(repeats, problem) is PairMeasure.CONFIRMED:

@@ -206,7 +206,7 @@ def find_pairs(
 def _differ_in_a_part(
     archive: Archive, solutions: _Solutions, found: _Candidates, had_part: HadPart | None
 ) -> BoolArray:
-    """Return which candidates differ in a parameter that had a part in an episode of either, shape ``(n,)``."""
+    """Return which candidates differ in a parameter that was active in an episode of either, shape ``(n,)``."""
     differs = np.ones(len(found), np.bool_)
     if had_part is None or not len(found):
         return differs
@@ -320,7 +320,7 @@ def _are_tight(rows: FloatArray, steps: Steps, some: _Candidates, eps: float) ->
 
 
 def _distinct(rows: FloatArray, found: _Candidates, steps: Steps, d_th: float) -> IntArray:
-    """Return the places of the pairs whose midpoints are at least `d_th` from those of all pairs taken before.
+    """Return the positions of the pairs whose midpoints are at least `d_th` from those of all earlier pairs.
 
     Raises:
         TooManyPairs: There are too many.

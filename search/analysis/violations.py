@@ -266,7 +266,7 @@ class ViolationType:
 
     @property
     def avoidable(self) -> Avoidable | None:
-        """The best of what its violations are; None if that was measured for none of them."""
+        """The best value among its violations; None if it was measured for none of them."""
         kinds = {violation.avoidable for violation in self.violations}
         return next((one for one in Avoidable if one in kinds), None)
 

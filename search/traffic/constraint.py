@@ -244,7 +244,7 @@ class Participants:
         return tuple(name for place in self.places for name in place.start[:3])
 
     def checks_limits(self) -> bool:
-        """Return that `problem` checks the limits: the zeros of an empty place may be outside."""
+        """Return True: `problem` checks the limits, as the zeros of an empty place may lie outside."""
         return True
 
     def repair(self, values: Values, parameters: Mapping[str, Parameter]) -> None:
@@ -360,7 +360,7 @@ def _allowed(parameter: Parameter) -> set[str]:
 
 
 def _pattern(name: str) -> str:
-    """Return what stands for a parameter of all participants and actions: ``p*.a*.action`` for ``p2.a1.action``."""
+    """Return the pattern for a parameter of all participants and actions: ``p*.a*.action`` for ``p2.a1.action``."""
     return re.sub(r"(?<=[pa])[0-9]+(?=\.)", "*", name)
 
 

@@ -90,7 +90,7 @@ class GroundView(View):
 
 
 class ReportedView(View):
-    """Results that workers have reported and the search has not been told yet, as one list per column."""
+    """Reported results that the search has not received yet, as one list per column."""
 
     number: list[int]
     unsafe: Annotated[list[int], Field(description="1 or 0.")]

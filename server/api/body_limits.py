@@ -30,7 +30,7 @@ class BodyLimit:
     max_values: int
 
     def words(self) -> str:
-        """Return what is expected of a body."""
+        """Describe the limit on a body."""
         return f"expected at most {self.max_bytes} bytes and {self.max_values} JSON values"
 
 

@@ -278,7 +278,7 @@ async def _final_archive(services: Context, campaign: Campaign) -> ReadArchive |
 
 
 def deletion_view(doomed: Sequence[TreeMember]) -> Deletion:
-    """Return the response schema of what a deletion would delete."""
+    """Return the response schema of a deletion preview."""
     return Deletion(
         campaigns=[
             DoomedCampaign(id=one.id, name=one.name, status=one.status, follow_up_of=one.follow_up_of)
@@ -596,7 +596,7 @@ async def get_llm_calls(
     services: Services,
     replies: Annotated[bool, Query(description="Whether to include the raw replies.")] = False,
 ) -> LlmCalls:
-    """Return the language-model calls of a campaign and what they cost."""
+    """Return the language-model calls of a campaign and their cost."""
     campaign = await services.campaigns.get(campaign_id)
     calls = await read(services.engines, lambda connection: list_calls(connection, campaign.id))
     spent = spent_on(calls)

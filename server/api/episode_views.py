@@ -169,7 +169,7 @@ class RowsView(View):
 
 
 class PictureCamera(View):
-    """The camera to whose picture the boxes `seen` and `given` refer, in pixels. It faces along the ego's yaw."""
+    """The camera to whose image the boxes `seen` and `given` refer, in pixels. It faces along the ego's yaw."""
 
     width_px: int
     height_px: int

@@ -229,7 +229,7 @@ async def record_missing(services: Context, campaign: Campaign, numbers: Sequenc
 async def _trace_status(
     services: Context, campaign: Campaign, number: int, *, requested: bool
 ) -> TraceStatus:
-    """Return the state of a trace that is kept or being recorded or, if this request is to record it, can be.
+    """Return the state of a trace that exists, is being recorded, or can be recorded if this request is to record it.
 
     Raises:
         NotFound, NotRecorded, Conflict, NoWorker: As `trace_of`.

@@ -105,7 +105,7 @@ class PairDuelView(View):
 
 
 class PairRepeatView(View):
-    """The pairs of a finished campaign, and what follow-ups that have ended say about them."""
+    """The pairs of a finished campaign, and the results of finished follow-ups on them."""
 
     problem: str
     method: str
@@ -147,7 +147,7 @@ class LeftOutView(View):
 
 
 class ProblemPairs(View):
-    """What the methods are compared on, on one problem."""
+    """The measure on which the methods are compared on one problem."""
 
     problem: str
     measure: PairMeasure
@@ -196,7 +196,7 @@ async def get_experiment_pairs(
     ] = 10.0,
     alpha: Alpha = LEVEL,
 ) -> ExperimentPairs:
-    """Return how many pairs across the boundary the campaigns that have finished found, and how many hold.
+    """Return how many pairs across the boundary the finished campaigns found, and how many hold.
 
     All campaigns are searched for pairs with the same `eps` and `d_th`, so that methods can be compared.
     """
@@ -211,7 +211,7 @@ async def get_experiment_pairs(
 async def find_experiment_pairs(
     services: Context, experiment: Experiment, settings: PairSettings, wait_s: float, alpha: float
 ) -> ExperimentPairs | str:
-    """Return the pairs of an experiment's finished campaigns, or what is still being computed, in words.
+    """Return the pairs of an experiment's finished campaigns, or a description of what is still being computed.
 
     Args:
         services: The services of this process.

@@ -1,4 +1,4 @@
-"""Routes of what campaigns found: all kinds, or one of them as JSON or as a table."""
+"""Routes of findings: all kinds of a campaign's findings, or one of them as JSON or as a table."""
 
 from typing import Annotated, Literal
 
@@ -19,7 +19,7 @@ async def get_findings(
     services: Services,
     rows: Annotated[int, Query(ge=0, le=MOST_ROWS, description="Most rows of each table.")] = ROWS,
 ) -> Findings:
-    """Return what a campaign found in a sentence, all kinds of its findings, and what to do next."""
+    """Return a campaign's findings: a summary sentence, all kinds, and next steps."""
     return await find_all(services, await services.campaigns.get(campaign_id), rows=rows)
 
 
@@ -33,7 +33,7 @@ async def get_finding(
     table: Annotated[str | None, Query(description="Name of the table; by default the first.")] = None,
     format: Literal["json", "csv", "jsonl", "parquet"] = "json",  # noqa: A002  (the name of the query parameter)
 ) -> Response:
-    """Return one kind of what a campaign found: a sentence, its tables and next steps, or one table as a file."""
+    """Return one kind of a campaign's findings: a sentence, its tables and next steps, or one table as a file."""
     campaign = await services.campaigns.get(campaign_id)
     finding = await find_kind(services, campaign, kind)
     if format == "json":

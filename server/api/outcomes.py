@@ -1,4 +1,4 @@
-"""Routes of outcomes: what the simulations of a campaign showed about all recorded requirements."""
+"""Routes of outcomes: the results of a campaign's simulations for all recorded requirements."""
 
 from typing import Annotated
 
@@ -15,7 +15,7 @@ router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 
 
 class OutcomeGroupView(View):
-    """Solutions whose simulations showed the same."""
+    """Solutions whose simulations had the same outcome."""
 
     words: Annotated[
         str, Field(description="Such as `front gap held; hit a pedestrian`, without the moment.")
@@ -25,7 +25,7 @@ class OutcomeGroupView(View):
 
 
 class OutcomesView(View):
-    """What the simulations of a campaign showed about its own and all other recorded requirements."""
+    """The results of a campaign's simulations for its own and all other recorded requirements."""
 
     requirements: Annotated[
         list[str], Field(description="Requirements that decide the verdict; empty if unknown.")

@@ -1,4 +1,4 @@
-"""Routes of pictures of two drives from above at the moment that matters.
+"""Routes of top-down pictures of two drives at the decisive moment.
 
 They are the drives of a pair, or the system's drive with a violation and that of a reference driver who avoids it.
 """
@@ -67,7 +67,7 @@ async def get_pair_picture(
 async def record_pair(
     campaign_id: str, safe: Number, unsafe: Number, side: Literal["safe", "unsafe"], services: Services
 ) -> Response:
-    """Have workers run the drives of a pair again whose traces were not kept. Repeating the request is harmless."""
+    """Have workers rerun the drives of a pair whose traces were not kept. Repeating the request is harmless."""
     return await _record(services, campaign_id, (safe, unsafe))
 
 
@@ -101,7 +101,7 @@ async def get_compared_picture(
 async def record_compared(
     campaign_id: str, number: Number, side: Literal["system", "reference"], services: Services
 ) -> Response:
-    """Have a worker run a drive again if its trace was not kept. Repeating the request is harmless."""
+    """Have a worker rerun a drive whose trace was not kept. Repeating the request is harmless."""
     return await _record(services, campaign_id, (number,))
 
 
@@ -117,7 +117,7 @@ async def _record(services: Context, campaign_id: str, numbers: Sequence[int]) -
 async def _documents(
     services: Context, campaign: Campaign, numbers: Sequence[int], request: Request, wait_s: float
 ) -> list[bytes] | Response:
-    """Return the traces of drives, or the response if there are none, or not yet."""
+    """Return the traces of drives, or the response if there are none yet or at all."""
     try:
         documents = [await trace_of(services, campaign, number, request, wait_s) for number in numbers]
     except (NotFound, Conflict):

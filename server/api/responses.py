@@ -162,5 +162,5 @@ def file_response(content: bytes, name: str, form: str, headers: Mapping[str, st
 
 
 def computing(detail: str) -> Any:
-    """Return a 202 response that says what is still being computed."""
+    """Return a 202 response that names what is still being computed."""
     return JSONResponse(BeingMade(detail=detail).model_dump(), status_code=202, headers={"Retry-After": "2"})

@@ -78,7 +78,7 @@ class GenerationView(View):
 
 
 class KnownView(View):
-    """How much a campaign started from."""
+    """How much prior knowledge a campaign started with."""
 
     campaign: Annotated[
         str | None, Field(description="The campaign that it started from; null for given solutions.")
@@ -105,7 +105,7 @@ class DoomedCampaign(View):
 
 
 class Deletion(View):
-    """What a deletion would delete: nothing if a campaign of the list has not ended."""
+    """The campaigns that a deletion would delete; empty if a campaign of the list has not ended."""
 
     campaigns: list[DoomedCampaign]
 

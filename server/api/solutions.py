@@ -213,7 +213,7 @@ async def get_known(
     after: Annotated[int, Query(ge=-1, le=MOST_KNOWN)] = -1,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> KnownPage:
-    """List what a campaign started from; none if it started from nothing."""
+    """List the solutions that a campaign started from; empty if there are none."""
     campaign = await services.campaigns.get(campaign_id)
 
     def look() -> list[KnownSolutionView]:

@@ -1,4 +1,4 @@
-"""Routes of tolerances: how gross an error may be before too many drives violate a requirement because of it."""
+"""Routes of tolerances: how severe an error may be before too many drives violate a requirement because of it."""
 
 from collections import Counter
 from collections.abc import Collection, Mapping
@@ -28,7 +28,7 @@ async def get_tolerance(
     response: Response,
     format: Literal["json", "csv"] = "json",  # noqa: A002  (the name of the query parameter)
 ) -> ToleranceView:
-    """Return how gross the errors of a component may be, by type, target and condition; CSV has one row per cell."""
+    """Return how severe the errors of a component may be, by type, target and condition; CSV has one row per cell."""
     campaign = await services.campaigns.get(campaign_id)
     archive = await services.archives.get(campaign)
     etag = etag_of(campaign.id, campaign.sequence, archive.generation, format)
@@ -149,6 +149,6 @@ async def get_agreement(
         float, Query(gt=0, lt=1, description="Probability that an interval covers the number.")
     ] = 0.95,
 ) -> AgreementView:
-    """Return whether the drives of another campaign, simulated afresh, are as these tolerances predict."""
+    """Return whether the fresh drives of another campaign agree with the predictions of these tolerances."""
     campaign, other = await services.campaigns.get(campaign_id), await services.campaigns.get(fresh)
     return await find_agreement(services, campaign, other, confidence)

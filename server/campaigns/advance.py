@@ -105,7 +105,7 @@ class SeedSource(Protocol):
     def proposals(
         self, campaign_id: str, settings: LlmSettings | None, problem: Problem, request: SeedRequest
     ) -> Sequence[Proposal] | None:
-        """Return the seeds, possibly none at all, or None while they are not known yet.
+        """Return the seeds, possibly none at all, or None while they are still being generated.
 
         The first call starts the request, which may take minutes. The campaign is advanced when the seeds arrive.
 
@@ -162,7 +162,7 @@ class Stepper:
         self._live.keep(campaign_id, live)
 
     def _on_drop(self, campaign_id: str) -> None:
-        """Take the next step of a campaign whose search was dropped here all the same: nobody else has it."""
+        """Take the next step of a campaign despite its search being dropped here: no other coordinator has it."""
         log.info("search dropped from memory", extra={"campaign": campaign_id})
         self.take_over(campaign_id)
 
@@ -213,17 +213,17 @@ class Stepper:
         return archive
 
     def start_later(self, campaign_id: str) -> None:
-        """Start the search of a new campaign, which is large, with its first step."""
+        """Start the large search of a new campaign together with its first step."""
         self._starting.add(campaign_id)
         self.take_over(campaign_id)
 
     def is_storing(self, campaign_id: str) -> bool:
-        """Return whether a campaign's search is to be started, or asks for something that is not stored yet."""
+        """Return whether a campaign's search is yet to be started, or has asked for something not stored yet."""
         live = self._live.get(campaign_id)
         return campaign_id in self._starting if live is None else not live.is_stored
 
     def advance(self, campaign_id: str) -> bool:
-        """Take all steps of a campaign that are due, or store one more piece of what its search asks for.
+        """Take all due steps of a campaign, or store the next piece of what its search asks for.
 
         Returns:
             Whether it did anything. If a piece is left then, which `is_storing` tells, call this again, after the
@@ -333,7 +333,7 @@ class Stepper:
         return True
 
     def _pause_if_nothing_works(self, campaign: Campaign, outcomes: Sequence[JobOutcome]) -> None:
-        """Pause a campaign whose first simulations all failed, rather than wait for the rest of its generation."""
+        """Pause a campaign whose first simulations all failed, instead of waiting for the rest of its generation."""
         errors = [one.error or "" for one in outcomes if one.status is JobStatus.QUARANTINED]
         if (
             len(errors) < FIRST_FAILURES
@@ -601,7 +601,7 @@ def _finite(value: float) -> float | None:
 def _without_stored(
     campaign: Campaign, live: LiveSearch, in_flight: Sequence[Mapping[int, bytes]]
 ) -> LiveSearch:
-    """Return a restored search without what is stored already of that which it asked for again.
+    """Return a restored search without those of its requests that are already stored.
 
     Args:
         campaign: The campaign.

@@ -63,7 +63,7 @@ class ReadArchive:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArchiveActivity:
-    """Which parameters had a part in the episodes of an archive's n solutions; see `Activity`.
+    """Which parameters were active in the episodes of an archive's n solutions; see `Activity`.
 
     Attributes:
         recorded: Solutions whose activity was recorded, shape ``(n,)``.
@@ -83,7 +83,7 @@ def read_activity(
     archive: Archive,
     places: IntArray | None = None,
 ) -> ArchiveActivity:
-    """Return which parameters had a part in the episodes of a campaign's evaluated solutions.
+    """Return which parameters were active in the episodes of a campaign's evaluated solutions.
 
     Args:
         connection: Read connection.
@@ -135,7 +135,7 @@ class Archives:
         return await self._cache.get(campaign.id, campaign.generation, lambda: self._load(campaign))
 
     async def activity(self, campaign: Campaign, found: ReadArchive) -> ArchiveActivity:
-        """Return which parameters had a part in the episodes of a campaign's archive."""
+        """Return which parameters were active in the episodes of a campaign's archive."""
 
         def look() -> ArchiveActivity:
             with self.engines.reader.connect() as connection:
@@ -151,7 +151,7 @@ class Archives:
         return plan, stored, restored_archive(plan, stored)
 
     async def distances(self, campaign: Campaign, archive: Archive, rows: Sequence[int]) -> FloatArray:
-        """Return the distances between some solutions, from the stored matrix or, if they are not there, computed.
+        """Return the distances between some solutions, from the stored matrix or, where that lacks them, computed.
 
         Args:
             campaign: The campaign.

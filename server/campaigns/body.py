@@ -132,7 +132,7 @@ class Execution(Body):
 
 
 class KnownSolution(Body):
-    """A solution that is known before a campaign starts."""
+    """A solution known before a campaign starts."""
 
     values: Annotated[
         JsonValues,
@@ -150,7 +150,7 @@ class KnownSolution(Body):
 
 
 class StartFrom(Body):
-    """What a campaign starts from: an earlier campaign, or given solutions."""
+    """The prior knowledge of a campaign: an earlier campaign, or given solutions."""
 
     campaign: Annotated[
         str | None,
@@ -273,7 +273,7 @@ class CampaignBody(Body):
 
 
 class CampaignChange(Body):
-    """A change to what people may change about a campaign; what is left out stays as it is."""
+    """A change to the editable fields of a campaign; omitted fields stay as they are."""
 
     tags: Annotated[Tags | None, Field(description="All tags from now on.")] = None
     add_tags: Tags = Field(default_factory=list, description="Tags to add.")
@@ -308,17 +308,17 @@ class CampaignChange(Body):
 
 
 def folded(text: str) -> str:
-    """Return a text in the form in which texts are equal that differ only in case or in how accents are encoded."""
+    """Return a text folded so that texts which differ only in case or in the encoding of accents are equal."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFD", text).casefold())
 
 
 def search_words(text: str) -> list[str]:
-    """Return the words to search for, in the form in which `search_text` has them."""
+    """Return the words to search for, folded as in `search_text`."""
     return folded(text).split()
 
 
 def search_text(name: str, notes: str, tags: Iterable[str]) -> str:
-    """Return the text of a campaign that is searched, without differences of case."""
+    """Return the searchable text of a campaign, with its case folded."""
     return folded("\n".join([name, " ".join(tags), notes]))
 
 

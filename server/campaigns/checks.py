@@ -1,4 +1,4 @@
-"""Threads that check submissions: those that run code which a user brought wait for it in a place of their own."""
+"""Threads that check submissions; checks that run user code have threads of their own."""
 
 import asyncio
 import logging
@@ -74,7 +74,7 @@ class CheckThreads:
 
 
 def _with_user_code(choices: Collection[Choice]) -> list[Choice]:
-    """Return the choices that run code which a user brought, or load what one names in their parameters."""
+    """Return the choices that run user code, or load what their parameters name."""
     return [
         (problem, algorithm)
         for problem, algorithm in choices

@@ -1,4 +1,4 @@
-"""Deletes campaigns: at once for everybody who looks, and piece by piece in the database.
+"""Deletes campaigns: they disappear at once, and their rows are erased piece by piece.
 
 A campaign goes with its follow-ups, theirs, and so on: a tree. `read_trees` says what a deletion would take along.
 `mark_deleted` alone decides whether it may: every campaign of a tree must have ended. All ways to delete use it.
@@ -85,7 +85,7 @@ _FOLLOW_UPS: Final = (
 
 
 def read_trees(connection: Connection, roots: Sequence[str], *, lock: bool = False) -> list[TreeMember]:
-    """Return campaigns with all their follow-ups, each tree in one piece, and every campaign after what it follows.
+    """Return campaigns with all their follow-ups, tree by tree, each follow-up after its campaign.
 
     Args:
         connection: To read from; in a write transaction if `lock` is set.
@@ -118,7 +118,7 @@ def read_trees(connection: Connection, roots: Sequence[str], *, lock: bool = Fal
 
 
 def mark_deleted(connection: Connection, roots: Sequence[str]) -> list[TreeMember]:
-    """Mark campaigns and all their follow-ups as deleted: nobody finds them any more; return what is marked.
+    """Mark campaigns and all their follow-ups as deleted, which hides them; return those that were marked.
 
     Args:
         connection: In a write transaction.
@@ -220,7 +220,7 @@ class Eraser:
     _task: asyncio.Task[None] | None = None
 
     def start(self) -> None:
-        """Begin to erase the campaigns that are marked as deleted, unless that is going on."""
+        """Start erasing the campaigns that are marked as deleted, unless that is already running."""
         self._is_wanted = True
         if self._task is None or self._task.done():
             self._task = asyncio.get_running_loop().create_task(self._run())
@@ -231,7 +231,7 @@ class Eraser:
             await self._task
 
     async def stop(self) -> None:
-        """Stop after the current piece; the next coordinator goes on."""
+        """Stop after the current piece; the next coordinator continues."""
         self._is_stopping = True
         await self.finish()
 

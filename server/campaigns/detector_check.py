@@ -1,4 +1,4 @@
-"""Whether a detector meets the requirement of a campaign, judged by its errors in drives of its own."""
+"""Whether a detector meets the requirement of a campaign, judged by its errors in its own drives."""
 
 import json
 from collections.abc import Collection, Mapping, Sequence
@@ -58,7 +58,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellCheck:
-    """A detector's errors of one cell.
+    """A detector's errors in one cell.
 
     Attributes:
         choices: The error, as choices of parameters by component.parameter.
@@ -85,7 +85,7 @@ class CellCheck:
 
     @property
     def beyond(self) -> int:
-        """Drives with a grosser error than is tolerated."""
+        """Drives with a more severe error than is tolerated."""
         return int((self.severity > self.tolerated).sum())
 
 

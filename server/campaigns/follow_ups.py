@@ -1,4 +1,4 @@
-"""Follow-ups that ask about pairs: is the component to blame, and which differences matter?
+"""Follow-ups on pairs: is the component to blame, and which differences matter?
 
 Both simulate the very episodes of the campaign, with one thing changed. They therefore have its seed, and name for
 each candidate the number of the solution whose episode seed it shares.
@@ -143,7 +143,7 @@ def has_one_seed(plan: Plan, pair: Pair) -> bool:
 
 
 def reducible(plan: Plan, archive: Archive, pairs: Sequence[Pair]) -> tuple[list[Pair], Reductions]:
-    """Return the pairs of which a difference can be reverted, and their reductions before the first trial.
+    """Return the pairs with a difference that can be reverted, and their reductions before the first trial.
 
     The sides of these pairs were simulated with one seed.
     """
@@ -187,7 +187,7 @@ def read_seeds(connection: Connection, campaign_id: str, numbers: Sequence[int])
 
 
 def read_reduced(connection: Connection, plan: Plan, stored: StoredRepeats) -> Reduced:
-    """Return how far the reduction of pairs is that a follow-up does, from its stored verdicts.
+    """Return the progress of a follow-up that reduces pairs, from its stored verdicts.
 
     Args:
         connection: Read connection.

@@ -1,4 +1,4 @@
-"""What a campaign starts from: solutions that are known before its search begins, and the table that keeps them.
+"""A campaign's prior knowledge: solutions known before its search begins, and the table that stores them.
 
 They are never solutions of the campaign: they have no number, no job and no episode, and its archive, counts, digest
 and pairs are made without them. See docs/adr/0043-warm-starts.md.
@@ -43,7 +43,7 @@ class KnownRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KnownCounts:
-    """How much a campaign started from.
+    """How much prior knowledge a campaign has.
 
     Attributes:
         results: Results that it did not simulate itself.
@@ -64,7 +64,7 @@ class KnownCounts:
 
 
 def known_of(records: Sequence[KnownRecord], dimension: int) -> Known:
-    """Return what a search starts from.
+    """Return the prior knowledge of a search.
 
     Args:
         records: The solutions, in their order.
@@ -149,7 +149,7 @@ def _encoded(
 
 
 def insert_known(connection: Connection, campaign_id: str, records: Sequence[KnownRecord]) -> None:
-    """Store what a new campaign starts from.
+    """Store the prior knowledge of a new campaign.
 
     Args:
         connection: In a write transaction.
@@ -177,7 +177,7 @@ def insert_known(connection: Connection, campaign_id: str, records: Sequence[Kno
 def read_known(
     connection: Connection, campaign_id: str, *, after: int = -1, limit: int | None = None
 ) -> list[KnownRecord]:
-    """Return what a campaign started from, in its order; empty if it started from nothing.
+    """Return the prior knowledge of a campaign, in its order; empty if it has none.
 
     Args:
         connection: Sees one snapshot.
@@ -205,7 +205,7 @@ def read_known(
 
 
 def count_known(connection: Connection, campaign_id: str) -> KnownCounts:
-    """Return how much a campaign started from."""
+    """Return how much prior knowledge a campaign has."""
     table = KnownSolutionRow
     query = select(
         func.count(table.is_unsafe), func.sum(case((table.is_unsafe.is_(True), 1), else_=0)), func.count()

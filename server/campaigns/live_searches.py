@@ -1,4 +1,4 @@
-"""The searches that are in memory: those whose steps were taken last, as far as a limit on memory allows.
+"""The searches in memory: the most recently stepped ones, within a limit on memory.
 
 A search that is not in memory is restored from its checkpoint when its next step is due, bit for bit. That costs time
 but changes nothing.

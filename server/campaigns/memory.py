@@ -1,4 +1,4 @@
-"""Estimates how much memory the state of a search takes, without running any code of its objects."""
+"""Estimates the memory of a search's state without running any code of its objects."""
 
 import gc
 import sys
@@ -14,7 +14,7 @@ _OBJECT_BYTES: Final = 64
 
 
 def memory_of(thing: object, without: Iterable[object] = ()) -> int:
-    """Return about how many bytes an object takes, with everything that it refers to.
+    """Return the approximate size of an object in bytes, including everything that it refers to.
 
     Args:
         thing: The object.

@@ -44,7 +44,7 @@ class _LeftStep:
 
 @dataclass(slots=True)
 class OtherCoordinators:
-    """The other coordinators on the same database, as far as steps are concerned; safe to use from several threads.
+    """The other coordinators on the same database that may take steps; safe to use from several threads.
 
     Attributes:
         engines: The database.
@@ -66,13 +66,13 @@ class OtherCoordinators:
         self._taken_over.add(campaign_id)
 
     def forget(self, campaign_id: str) -> None:
-        """Drop what is known of a campaign that has ended or is paused."""
+        """Forget a campaign that has ended or is paused."""
         self._taken_over.discard(campaign_id)
         with self._lock:
             self._left.pop(campaign_id, None)
 
     def leave_step(self, campaign: Campaign) -> bool:
-        """Return whether a step that is due is left to the other coordinators, and tell them if it is.
+        """Return whether a due step is left to the other coordinators, and notify them if it is.
 
         Args:
             campaign: The campaign, whose search this coordinator does not have in memory.

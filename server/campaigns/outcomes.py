@@ -1,4 +1,4 @@
-"""What the simulations of a campaign showed about all recorded requirements, read from their results.
+"""The outcomes of a campaign's simulations for all recorded requirements, read from their results.
 
 The archive knows one verdict for each solution, safe or unsafe, which is about the requirements of the campaign. The
 stored results have the robustness of every requirement and the moment of its first violation. Texts for people are
@@ -38,7 +38,7 @@ _ROWS_AT_ONCE: Final = 1_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolutionOutcome:
-    """What one simulation showed.
+    """The outcome of one simulation.
 
     Attributes:
         kind: Which requirements it violated.
@@ -76,7 +76,7 @@ def deciding_requirements(body: CampaignBody) -> tuple[str, ...]:
 def outcome_of(
     problem: Problem, result: Mapping[str, Any] | None, *, safe: bool, robustness: float | None
 ) -> SolutionOutcome:
-    """Return what one simulation showed.
+    """Return the outcome of one simulation.
 
     Args:
         problem: The problem of its campaign.
@@ -101,7 +101,7 @@ def outcome_of(
 
 
 def _unrecorded(problem: Problem, *, safe: bool) -> str:
-    """Return the campaign's verdict in words where a result has no requirements."""
+    """Return the campaign's verdict in words if a result has no requirements."""
     if not problem.requirements:
         return "safe" if safe else "unsafe"
     words = held_words(problem.requirements) if safe else unsafe_words(problem.requirements)
@@ -109,7 +109,7 @@ def _unrecorded(problem: Problem, *, safe: bool) -> str:
 
 
 def _deciding(problem: Problem, verdicts: Mapping[str, Verdict], robustness: float | None) -> tuple[str, ...]:
-    """Return the requirements that decide, or for a problem that does not name them, the one with its robustness."""
+    """Return the deciding requirements or, for a problem that does not name them, the one with its robustness."""
     if problem.requirements:
         return problem.requirements if all(name in verdicts for name in problem.requirements) else ()
     same = [name for name, verdict in verdicts.items() if verdict.robustness == robustness]
@@ -118,7 +118,7 @@ def _deciding(problem: Problem, verdicts: Mapping[str, Verdict], robustness: flo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutcomeGroup:
-    """Simulations that showed the same.
+    """Simulations with the same outcome.
 
     Attributes:
         words: Their outcome in words, without moments.
@@ -171,7 +171,7 @@ class CampaignOutcomes:
         )
 
     def kind_words(self, kind: OutcomeKind) -> str:
-        """Return what the solutions of a kind have in common, such as ``front gap held``."""
+        """Return the phrase for solutions of a kind, such as ``front gap held``."""
         held, violated = "safe", "unsafe"
         if self.requirements:
             held, violated = held_words(self.requirements), unsafe_words(self.requirements)
@@ -180,7 +180,7 @@ class CampaignOutcomes:
         return held if kind is OutcomeKind.HELD else f"{held}, another requirement violated"
 
     def sentence(self) -> str:
-        """Return how many drives held the requirements, what those violated nevertheless, and within which ODD.
+        """Return a sentence: how many drives held the requirements, what else these violated, and the ODD.
 
         Empty if no requirements are known and there is no ODD.
         """
@@ -205,7 +205,7 @@ class CampaignOutcomes:
 
 @dataclass(slots=True)
 class Outcomes:
-    """A cache of the outcomes of campaigns. New solutions are read as a campaign grows, known ones are kept.
+    """A cache of the outcomes of campaigns; as a campaign grows, only new solutions are read.
 
     Attributes:
         engines: The database.

@@ -1,4 +1,4 @@
-"""The pairs across the boundary that a campaign's archive holds, and what follow-ups have shown about them.
+"""The pairs across the boundary in a campaign's archive, and the results of their follow-ups.
 
 Follow-ups are campaigns of their own (`brink.server.campaigns.repeats`).
 """
@@ -140,7 +140,7 @@ class Pairs:
 
 
 def find_reducible(plan: Plan, archive: Archive, pairs: Sequence[Pair]) -> frozenset[tuple[int, int]]:
-    """Return the pairs of which a difference can be reverted, by the numbers of their two sides."""
+    """Return the pairs with a difference that can be reverted, by the numbers of their two sides."""
     open_pairs, _ = reducible(plan, archive, pairs)
     return frozenset((pair.safe.number, pair.unsafe.number) for pair in open_pairs)
 
@@ -184,7 +184,7 @@ def find_stored_pairs(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Repeated:
-    """What repeats of the sides of pairs have shown.
+    """The results of repeats of the sides of pairs.
 
     Attributes:
         shares: How often each repeated solution was unsafe with other seeds, by number.
@@ -196,7 +196,7 @@ class Repeated:
 
     @classmethod
     def of(cls, stored: Sequence[StoredRepeats]) -> "Repeated":
-        """Return what the follow-ups of a campaign have shown; those of other kinds are ignored."""
+        """Return the results of a campaign's repeats, ignoring other kinds of follow-ups."""
         again = [one for one in stored if one.kind is FollowUpKind.CONFIRM]
         return cls(
             shares=shares_of(again),
@@ -211,7 +211,7 @@ class Repeated:
         return self.shares.get(safe, none), self.shares.get(unsafe, none)
 
     def state(self, safe: int, unsafe: int) -> Confirmation:
-        """Return whether both sides of a pair keep their verdicts with other seeds, or may be found to."""
+        """Return whether both sides of a pair keep their verdicts with other seeds, or may turn out to."""
         return confirmation_of(
             *self.shares_of(safe, unsafe), pending=safe in self.under_way or unsafe in self.under_way
         )
@@ -232,7 +232,7 @@ def shares_of(stored: Sequence[StoredRepeats]) -> Mapping[int, Share]:
 
 
 def blames_scenario(stored: Sequence[StoredRepeats]) -> Mapping[int, bool]:
-    """Return whether each solution that was simulated with ground truth is unsafe then, too, by number.
+    """Return, by number, whether each solution that was simulated with ground truth is then unsafe, too.
 
     Args:
         stored: The follow-ups of a campaign that ask whether its component is to blame, oldest first.

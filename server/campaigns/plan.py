@@ -126,7 +126,7 @@ class LiveSearch:
     sized_at: int = 0
 
     def measured(self) -> "LiveSearch":
-        """Return the search with its size, measured again if it has grown much since; slow if it is large."""
+        """Return the search with its size, measured again if it has grown much; slow if the search is large."""
         if self.size and self.generation <= SIZE_GROWTH * self.sized_at:
             return self
         plan = self.plan
@@ -136,7 +136,7 @@ class LiveSearch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
-    """What a campaign starts from.
+    """The prior knowledge of a campaign, resolved.
 
     Attributes:
         records: The known solutions.
@@ -308,7 +308,7 @@ def _is_large(plan: Plan) -> bool:
 
 
 def _check_criticality(plan: Plan) -> None:
-    """Check that an algorithm that is led by criticality is led towards violations of the requirement.
+    """Check that an algorithm guided by criticality is guided towards violations of the requirement.
 
     Stored campaigns need not pass this: older versions accepted what is rejected here.
 
@@ -343,7 +343,7 @@ def _check_seeder(plan: Plan) -> None:
 
 
 def check_submission(body: CampaignBody, start: Start | None = None) -> tuple[LiveSearch, Asked]:
-    """Check that a campaign can run, and return its search with the first piece of what that asks for.
+    """Check that a campaign can run, and return its search with the first piece of what it asks for.
 
     Args:
         body: The campaign's body.
@@ -535,7 +535,7 @@ def seed_request(plan: Plan, state: Any) -> SeedRequest | None:
 
 
 def of_state(plan: Plan, what: str, run: Callable[[], T]) -> T:
-    """Return what the state of a search says, which is code of its algorithm.
+    """Run code of an algorithm's state, which may be the user's.
 
     Args:
         plan: Its plan.

@@ -56,7 +56,7 @@ _MOST_ERRORS = 20
 
 
 class FollowUpKind(StrEnum):
-    """What a follow-up asks."""
+    """The question that a follow-up asks."""
 
     CONFIRM = "confirm"
     """How often is each solution unsafe with other seeds? At least two repeats."""
@@ -118,7 +118,7 @@ class StoredRepeats:
 
     @property
     def kind(self) -> FollowUpKind:
-        """What it asks."""
+        """The question that it asks."""
         return _kind_of(self.repeats)
 
     @property
@@ -127,7 +127,7 @@ class StoredRepeats:
         return (self.t_b, self.d_th) != (EVERY_T_B, EVERY_D_TH)
 
     def drives(self) -> list[tuple[int, bool | None]]:
-        """Return the place, among the numbers, and the verdict of each simulation of repeats that has ended.
+        """Return the position, among the numbers, and the verdict of each finished simulation of repeats.
 
         The verdict says whether it was unsafe; None if it failed.
         """
@@ -154,7 +154,7 @@ def _kind_of(repeats: int) -> FollowUpKind:
 
 
 def is_follow_up(plan: Plan, repeats: int, numbers: Sequence[int]) -> bool:
-    """Return whether a campaign can be the follow-up that asks about these solutions.
+    """Return whether a campaign can be the follow-up that asks this question about these solutions.
 
     Args:
         plan: The plan of the campaign.
@@ -170,7 +170,7 @@ def is_follow_up(plan: Plan, repeats: int, numbers: Sequence[int]) -> bool:
 
 
 def followed_by(connection: Connection, campaign_id: str) -> tuple[str, FollowUpKind] | None:
-    """Return the id of the campaign that a follow-up asks about, and what it asks; None if it is no follow-up."""
+    """Return the campaign that a follow-up asks about, and its question; None if it is not a follow-up."""
     row = connection.execute(
         select(RepeatsRow.of_id, RepeatsRow.repeats).where(RepeatsRow.campaign_id == campaign_id)
     ).one_or_none()
@@ -380,7 +380,7 @@ def read_follow_ups(connection: Connection, campaign_id: str) -> list[StoredRepe
 
 
 def read_pair_campaigns(connection: Connection, campaigns: Sequence[str]) -> list[Campaign]:
-    """Return the campaigns that confirm pairs of the given campaigns, or ask whose hazard they are, oldest first.
+    """Return the campaigns that confirm pairs of the given campaigns, or attribute their hazard, oldest first.
 
     Those that were cancelled or have failed are left out: they may be asked for again.
     """
@@ -400,7 +400,7 @@ def read_pair_campaigns(connection: Connection, campaigns: Sequence[str]) -> lis
 
 
 def _verdicts(connection: Connection, campaign_id: str) -> dict[int, str]:
-    """Return whether each simulation of a campaign that has ended was safe or unsafe, or failed, by number."""
+    """Return whether each finished simulation of a campaign was safe or unsafe, or failed, by number."""
     ended = (SolutionVerdict.SAFE, SolutionVerdict.UNSAFE, SolutionVerdict.FAILED)
     query = select(SolutionRow.number, SolutionRow.verdict).where(
         SolutionRow.campaign_id == campaign_id, SolutionRow.verdict.in_(ended), is_told(campaign_id)

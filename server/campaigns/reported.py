@@ -1,4 +1,4 @@
-"""Results that workers have reported and a search has not been told yet: it is told a whole generation at once.
+"""Reported results that a search has not received yet: it receives whole generations.
 
 They are preliminary only in that the search has not scored them. Their verdicts do not change any more.
 """
@@ -55,7 +55,7 @@ class ReportedResult:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reported:
-    """Results of a campaign that its search has not been told, in order of number.
+    """Results of a campaign that its search has not received yet, in order of number.
 
     Attributes:
         results: Those with a verdict.
@@ -76,7 +76,7 @@ class Reported:
 
 @dataclass(slots=True)
 class _Parsed:
-    """Results of one campaign that its search had not been told when they were last read.
+    """Results of one campaign that its search had not received when they were last read.
 
     Attributes:
         problem: The problem of the campaign; None if its results cannot be read here.
@@ -95,7 +95,7 @@ class ReportedResults:
     _lock: Lock = field(default_factory=Lock)
 
     def read(self, connection: Connection, campaign: Campaign) -> Reported:
-        """Return the results of a campaign that its search has not been told; none once it has ended.
+        """Return the results of a campaign that its search has not received yet; none once it has ended.
 
         Args:
             connection: Sees one snapshot.

@@ -1,4 +1,4 @@
-"""Checks results when workers report them: whether a campaign can evaluate what was reported for it.
+"""Checks reported results: whether their campaign can evaluate them.
 
 A result without the requirements of its campaign says nothing about them. Stored, it would only turn up as a failure
 at the next generation step, when no worker can be asked again.
@@ -61,7 +61,7 @@ def evaluate(problem: SimulatedProblem, kind: JobKind, result: Completed) -> Eva
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Expected:
-    """What a campaign expects of its results.
+    """A campaign's expectations of its results.
 
     Attributes:
         problem: Its problem.
@@ -89,7 +89,7 @@ class _Unchecked:
 
 @dataclass(slots=True)
 class ResultChecks:
-    """Checks the results of all campaigns; keeps what the last ones expect. Safe to use from several threads.
+    """Checks the results of all campaigns; caches the latest expectations. Safe to use from several threads.
 
     Brink's own problems check a result in the write transaction that stores it. A plug-in's code may take long, so it
     is called before that, on threads of its own, and nobody waits longer than `CHECK_S`: a result that is not checked
@@ -109,7 +109,7 @@ class ResultChecks:
     )
 
     def __call__(self, campaign_id: str, kind: str, result: Completed) -> Judgement | None:
-        """Return whether a campaign can use a result; None if that cannot be told in a transaction.
+        """Return whether a campaign can use a result; None if that cannot be decided in a transaction.
 
         Args:
             campaign_id: The campaign.
@@ -126,7 +126,7 @@ class ResultChecks:
         return self._judgement(expected, campaign_id, kind, result)
 
     async def judge(self, results: Sequence[UnjudgedResult]) -> Sequence[Judgement]:
-        """Return whether campaigns can use results, after `CHECK_S` at the latest."""
+        """Return whether campaigns can use results, within `CHECK_S`."""
         campaigns = list(dict.fromkeys(one.campaign for one in results))
         found = await asyncio.gather(
             *(self._judge([one for one in results if one.campaign == name], name) for name in campaigns)
@@ -139,7 +139,7 @@ class ResultChecks:
         self._threads.shutdown(wait=True, cancel_futures=True)
 
     async def _judge(self, results: Sequence[UnjudgedResult], campaign_id: str) -> Sequence[Judgement]:
-        """Return whether a campaign can use results; all of them if that takes too long, or did before."""
+        """Return whether a campaign can use results; accept all of them if that takes too long, now or before."""
         unchecked = [Judgement()] * len(results)
         if self._late[campaign_id] and self._running[campaign_id]:
             return unchecked
@@ -199,7 +199,7 @@ class ResultChecks:
         return Judgement()
 
     def _known(self, campaign_id: str) -> _Expected | _Unchecked | None:
-        """Return what is kept about a campaign; None if that is nothing, or its code is to be tried again."""
+        """Return the cached expectations of a campaign; None if there are none, or its code is to be tried again."""
         with self._lock:
             found = self._expected.get(campaign_id)
             if found is None or (isinstance(found, _Unchecked) and time.monotonic() >= found.until):
@@ -208,7 +208,7 @@ class ResultChecks:
             return found
 
     def _find(self, campaign: Campaign) -> _Expected | _Unchecked:
-        """Return what a campaign expects, or that this cannot be checked here at present."""
+        """Return a campaign's expectations, or that its results cannot be checked here at present."""
         known = self._known(campaign.id)
         if known is not None:
             return known
@@ -236,7 +236,7 @@ class ResultChecks:
 
 
 def _ignore(judging: asyncio.Future[Sequence[Judgement]]) -> None:
-    """Nobody waits for this any more; without this, its error would be logged as never retrieved."""
+    """Consume a result that nobody waits for any more; otherwise its error would be logged as never retrieved."""
     if not judging.cancelled():
         judging.exception()
 

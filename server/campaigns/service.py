@@ -114,7 +114,7 @@ class DocumentService(ABC, Generic[B, S]):
         """Return the campaigns that are deleted with a row, without their follow-ups."""
 
     def _delete_row(self, connection: Connection, stored: S) -> None:
-        """Delete what is left of a row when its campaigns are marked as deleted."""
+        """Delete the rest of a row once its campaigns are marked as deleted."""
 
     async def submit(self, body: B, key: str | None = None) -> tuple[S, bool]:
         """Check a submission and store it with all of its campaigns, all or nothing.
@@ -338,7 +338,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
         return campaign
 
     async def change(self, name: str, change: CampaignChange) -> Campaign:
-        """Change the tags and notes of a campaign, in whatever state it is.
+        """Change the tags and notes of a campaign, whatever its status.
 
         Raises:
             NotFound: No id matches, or several do.

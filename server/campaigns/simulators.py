@@ -1,4 +1,4 @@
-"""Which simulator and plug-ins a campaign was simulated with, and whether this installation still has them.
+"""Which simulator and plug-ins a campaign was simulated with, and whether they are still installed here.
 
 The id of a simulator carries a version, which is raised when its results change. Plug-ins other than Brink's own are
 edited under one id, so their sources count as well (`brink.sim.sources`). Results of two versions do not belong in
@@ -62,7 +62,7 @@ def other_simulator(connection: Connection, campaign: Campaign) -> str | None:
 
 
 def changed_sources(before: Mapping[str, str], now: Mapping[str, str]) -> str | None:
-    """Return in words which plug-ins have another source than before, or None if none has.
+    """Describe the plug-ins whose source has changed since then; None if none has.
 
     Args:
         before: Digests of a campaign's plug-ins, `CampaignBody.sources`; none in a campaign of an older version.

@@ -139,7 +139,7 @@ CAMPAIGNS = DocumentTable(
 
 
 def labelled(tags: Sequence[str], search: str) -> list[ColumnElement[bool]]:
-    """Return the conditions that a campaign has all of these tags, and all of these words in name, notes or tags.
+    """Return the condition that a campaign has all of these tags, and all of these words in its name, notes or tags.
 
     Args:
         tags: Tags as `check_tag` returns them.
@@ -155,7 +155,7 @@ def labelled(tags: Sequence[str], search: str) -> list[ColumnElement[bool]]:
 
 
 def change_campaign(connection: Connection, campaign: Campaign, change: CampaignChange) -> bool:
-    """Change the tags and notes of a campaign; return whether they are different now.
+    """Change the tags and notes of a campaign; return whether they differ from before.
 
     Args:
         connection: In a write transaction that has locked the campaign.
@@ -304,7 +304,7 @@ def set_status(
 
 
 def retry_job(connection: Connection, job_id: int) -> None:
-    """Return a quarantined job to the queue with fresh attempts and losses, each of which is leased alone.
+    """Return a quarantined job to the queue with fresh attempts and losses; each attempt is leased alone.
 
     An evaluation is retried only while its result can still count. The lock on the campaign decides between a retry
     and a step that counts the solution as failed: whichever is written first; see `step_store.write_step`.

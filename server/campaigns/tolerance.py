@@ -1,4 +1,4 @@
-"""The tolerances that a campaign's archive holds: its cells, their curves, and the violations without any error."""
+"""The tolerances in a campaign's archive: its cells, their curves, and the violations without any error."""
 
 from concurrent.futures import Executor
 from dataclasses import InitVar, dataclass, field

@@ -35,7 +35,7 @@ _VERSION = select(CampaignRow.sequence, CampaignRow.finished_at).where(
 
 
 class CampaignSummary(Protocol):
-    """The attributes of a campaign that its progress is computed from; see `Campaign`."""
+    """The attributes of a campaign from which its progress is computed; see `Campaign`."""
 
     @property
     def id(self) -> str: ...  # noqa: D102
@@ -148,7 +148,7 @@ class _SinceBreak(NamedTuple):
 
 
 def _latest_since_break(connection: Connection, campaign_id: str, end: datetime) -> _SinceBreak | None:
-    """Return what has come since the last break; None if there is none among the latest jobs."""
+    """Return the results since the last break; None if there is none among the latest jobs."""
     query = (
         select(JobRow.finished_at, JobRow.attempt)
         .where(JobRow.campaign_id == campaign_id, IS_EVALUATION, JobRow.status == JobStatus.DONE)
@@ -166,7 +166,7 @@ def _latest_since_break(connection: Connection, campaign_id: str, end: datetime)
 
 
 def first_after_break(times: Sequence[datetime], end: datetime) -> int | None:
-    """Return the place of the first result after a break: after by far the longest time without results.
+    """Return the index of the first result after a break, by far the longest time without results.
 
     Args:
         times: When results came, ascending.

@@ -1,4 +1,4 @@
-"""Finds what a campaign starts from in an earlier campaign, and decides whether that one's results hold for it.
+"""Resolves a campaign's prior knowledge from an earlier campaign, and decides whether its results still apply.
 
 A result is taken over only if this campaign would have asked for the very same simulation: the same problem with the
 same parameters, and, for every solution, an episode with the same hash. Otherwise the campaign is refused, unless it
@@ -35,7 +35,7 @@ _POINTER = "/start_from/campaign"
 
 
 def find_start(connection: Connection, body: CampaignBody) -> Start | None:
-    """Return what a campaign starts from; None if it starts from nothing.
+    """Return the prior knowledge of a campaign; None if it has none.
 
     Args:
         connection: Sees one snapshot.
@@ -128,7 +128,7 @@ def _not_here(source: Campaign, why: str) -> str:
 
 
 def _settings(there: CampaignBody, here: CampaignBody) -> list[tuple[str, object, object]]:
-    """Return what decides the simulations of two campaigns, by name: what it is in each."""
+    """Return the settings that decide the simulations of two campaigns, by name, with both values."""
     before: Mapping[str, Any] = there.problem.params
     now: Mapping[str, Any] = here.problem.params
     return [
@@ -142,7 +142,7 @@ def _settings(there: CampaignBody, here: CampaignBody) -> list[tuple[str, object
 
 
 def _evaluated(connection: Connection, source: Campaign) -> list[KnownRecord]:
-    """Return the results in a campaign's archive, by number, and then those that it started from itself."""
+    """Return the results in a campaign's archive, by number, and then those of its own prior knowledge."""
     query = (
         select(SolutionRow.number, SolutionRow.vector, SolutionRow.verdict, SolutionRow.robustness)
         .where(
@@ -196,7 +196,7 @@ def _check_rows(source: Campaign, records: Sequence[KnownRecord], space: SearchS
 def _check_same_episodes(
     connection: Connection, source: Campaign, records: Sequence[KnownRecord], plan: Plan
 ) -> None:
-    """Check that the simulation of every solution would be the same here, also if the problem reads files.
+    """Check that every solution would be simulated identically here, even if the problem reads files.
 
     Raises:
         InvalidInput: It would not.

@@ -1,4 +1,4 @@
-"""What each campaign found, in a few words for a list: those of the first kind of its findings.
+"""Short summaries of campaigns' findings for lists: of the first kind of finding.
 
 A list of campaigns polls, and what a campaign found takes its whole archive. So words are worked out once a campaign
 has ended, in a thread of their own, and kept until the campaign or one of its follow-ups changes. Until then a list
@@ -34,7 +34,7 @@ LIMIT_S: Final = 60.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """What a campaign found.
+    """The short summary of a campaign's findings.
 
     Attributes:
         words: In a few words; empty if there is nothing to say.
@@ -47,7 +47,7 @@ class Found:
 
 @dataclass(slots=True)
 class FoundWords:
-    """A cache of what campaigns found, in a few words each.
+    """A cache of short summaries of findings.
 
     Attributes:
         archives: Where campaigns are read.
@@ -63,7 +63,7 @@ class FoundWords:
     )
 
     def of(self, outlines: Sequence[Outline]) -> Mapping[str, Found | None]:
-        """Return what each campaign found that has ended, without waiting for what is being worked out.
+        """Return the summaries of ended campaigns, without waiting for those being computed.
 
         Args:
             outlines: Any campaigns; those that have not ended are left out.
@@ -122,12 +122,12 @@ class FoundWords:
         return Found(words=kind.brief(listed), kind=kind.id)
 
     def close(self) -> None:
-        """End what is being worked out, and cancel the rest."""
+        """Stop the running computations, and cancel the rest."""
         self._thread.close()
 
 
 def found_so_far(algorithm: str, boundary: Sequence[int]) -> Found:
-    """Return what a campaign that has not ended found, which only a search for the boundary tells at no cost.
+    """Return the summary of a campaign that has not ended; only a search for the boundary has one at no cost.
 
     Args:
         algorithm: Id of its algorithm.
@@ -139,12 +139,12 @@ def found_so_far(algorithm: str, boundary: Sequence[int]) -> Found:
 
 
 def _version(one: Outline) -> object:
-    """Return what changes whenever the words may change."""
+    """Return a version that changes whenever the summary may change."""
     return one.sequence, one.follow_ups.sequence
 
 
 def _found_by_follow_up(one: Outline) -> Found:
-    """Return what a follow-up showed; nothing for those whose answers the campaign that they belong to tells."""
+    """Return the summary of a follow-up; empty for kinds whose answers appear with the campaign they belong to."""
     if one.repeats != SINGLE:
         return Found()
     return Found(words=f"{one.evaluated - one.unsafe:,} of {one.evaluated:,} safe with ground truth")

@@ -23,7 +23,7 @@ MOST_UNFOLDED: Final = 1_000
 
 
 class FollowUpListing(StrEnum):
-    """How a list of campaigns treats follow-ups, which Brink starts to ask more about a campaign."""
+    """How a list of campaigns treats follow-ups."""
 
     LISTED = "listed"
     """Like any other campaign."""
@@ -87,7 +87,7 @@ class Outline:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chosen:
-    """Which campaigns are listed.
+    """Filters for a list of campaigns.
 
     Attributes:
         statuses: Only campaigns in one of these states; all if empty.
@@ -141,7 +141,7 @@ def list_outlines(
 
 
 def count_campaigns(connection: Connection, chosen: Chosen) -> int:
-    """Return how many campaigns match."""
+    """Return the number of campaigns that match."""
     query = _joined(select(func.count()).select_from(CampaignRow.__table__))
     count: int = connection.execute(query.where(*chosen.conditions())).scalar_one()
     return count
@@ -173,7 +173,7 @@ def with_follow_ups(
 
 
 def _with_columns(page: Select[Any]) -> Select[Any]:
-    """Return a query of campaigns that selects what `_outlines` reads."""
+    """Return a query of campaigns that selects the columns that `_outlines` reads."""
     row = CampaignRow
     wanted = page.with_only_columns(
         row.id,
@@ -200,7 +200,7 @@ def _with_columns(page: Select[Any]) -> Select[Any]:
 
 
 def _joined(query: Select[Any]) -> Select[Any]:
-    """Return a query of campaigns joined with their experiments and with what they repeat."""
+    """Return a query of campaigns joined with their experiments and the campaigns that they repeat."""
     row = CampaignRow
     return query.outerjoin_from(
         row.__table__, ExperimentCampaignRow.__table__, ExperimentCampaignRow.campaign_id == row.id

@@ -74,7 +74,7 @@ class SolutionMap:
 
 
 def fitted_count(count: int) -> int:
-    """Return how many of the first `count` solutions the layout of a running campaign is fitted to."""
+    """Return the number of solutions, from the first, to which the layout of a running campaign is fitted."""
     made = MIN_FITTED
     while True:
         larger = int(made * (GROWTH if made < MAX_DRAWN else GROWTH_LARGE))

@@ -138,7 +138,7 @@ def open_engines(database: str) -> Engines:
 
 
 def postgres_options(url: URL, settings: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Return options of a connection to Postgres, by which both ends notice when the other's machine is gone.
+    """Return Postgres connection options that let both ends detect when the other machine is gone.
 
     Without them, a connection over which nothing is sent outlives the other end for hours, and so do its locks.
     Options in the URL have precedence.

@@ -56,7 +56,7 @@ def database_now(connection: Connection) -> datetime:
 
 
 def allow_pauses(connection: Connection) -> None:
-    """Let this transaction wait for locks and pause between statements for as long as it takes.
+    """Let this transaction wait for locks, and pause between statements, without a time limit.
 
     Postgres otherwise ends transactions of the writer that do (`brink.server.db.engine`).
     """
@@ -71,7 +71,7 @@ def storable(words: str) -> str:
 
 
 def constant(value: str | int) -> ColumnClause[Any]:
-    """Return a value that is part of a statement's text.
+    """Return a literal that is embedded in a statement's text.
 
     Postgres plans a prepared statement without knowing its parameters. It cannot use a partial index whose condition
     is on a parameter.
@@ -229,7 +229,7 @@ class DocumentTable(Generic[V]):
         raise NotFound(f"{self.kind} {name[:40]!r}: {self._why_none(name, [row.id for row in rows])}")
 
     def _why_none(self, name: str, matching: Sequence[str]) -> str:
-        """Return why a name, or the beginning of an id, stands for no value."""
+        """Explain why a name, or the beginning of an id, matches nothing."""
         if matching:
             shown = ", ".join(matching[:AMBIGUOUS_SHOWN])
             more = " and more" if len(matching) > AMBIGUOUS_SHOWN else ""

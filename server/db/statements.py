@@ -29,7 +29,7 @@ Values: TypeAlias = Mapping[str, Any]
 
 @dataclass(slots=True)
 class _Compiled:
-    """A statement as one driver takes it.
+    """A statement in the form that one driver accepts.
 
     Attributes:
         text: The statement, with its parameters by position.
@@ -97,12 +97,12 @@ _BEGIN, _COMMIT = Statement(text("BEGIN")), Statement(text("COMMIT"))
 
 
 def is_pipelined(connection: Connection) -> bool:
-    """Return whether statements share round trips, so that it pays to read ahead."""
+    """Return whether statements share round trips, so that reading ahead pays off."""
     return connection.dialect.name == "postgresql"
 
 
 def write(connection: Connection, statement: Statement, values: Values) -> None:
-    """Run a statement that returns no rows, at the latest with the next statement or the commit.
+    """Queue a statement that returns no rows; it runs with the next query or the commit at the latest.
 
     Args:
         connection: In a write transaction.
@@ -116,7 +116,7 @@ def write(connection: Connection, statement: Statement, values: Values) -> None:
 
 
 def read(connection: Connection, *queries: tuple[Statement, Values]) -> list[list[Any]]:
-    """Run the writes that wait, then these queries; return the rows of each query.
+    """Run the queued writes, then these queries; return the rows of each query.
 
     Args:
         connection: In a write transaction.

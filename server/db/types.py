@@ -39,7 +39,7 @@ class UtcDateTime(TypeDecorator[datetime]):
 
 
 class Reason(TypeDecorator[str]):
-    r"""Why something failed, in words that may be those of an exception of a plug-in.
+    r"""The reason for a failure, which may quote an exception of a plug-in.
 
     What no database can store, NUL and lone surrogates, is written out, such as ``\u0000``, and very long words are
     cut: the failure itself must be stored in any case.
@@ -54,7 +54,7 @@ class Reason(TypeDecorator[str]):
         return str
 
     def process_bind_param(self, value: str | None, dialect: Dialect) -> str | None:
-        """Return words that can be stored."""
+        """Return text that can be stored."""
         if value is None:
             return None
         words = value if len(value) <= LONGEST_REASON else f"{value[: LONGEST_REASON - 1]}…"

@@ -75,7 +75,7 @@ class _Waiting:
 
 
 class _Refusal(Exception):
-    """A unit of a batch, or one of several that share a call, refused what it was asked.
+    """A unit of a batch, or one of several that share a call, refused its request.
 
     Args:
         units: Place of the unit, or of those that share the call, in the batch.

@@ -55,7 +55,7 @@ class Method(Choice):
 
 
 class PairsChoice(Body):
-    """Which pairs across the boundary to count in every campaign, and how they are to be followed up."""
+    """Which pairs across the boundary to count in every campaign, and how to follow them up."""
 
     eps: Annotated[
         float,

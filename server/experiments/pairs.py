@@ -1,4 +1,4 @@
-"""Pairs across the boundary in experiments: which are counted, and what follow-ups have shown about them.
+"""Pairs across the boundary in experiments: which are counted, and the results of their follow-ups.
 
 Only follow-ups that have ended count: the figures of one that is still running would change.
 """
@@ -31,7 +31,7 @@ CACHED_PAIRS = 2_000
 
 
 def check_pairs(body: ExperimentBody) -> None:
-    """Check that the pairs of an experiment, all of whose campaigns can run, can be followed up as it says.
+    """Check that the pairs of an experiment whose campaigns can all run can be followed up as requested.
 
     Raises:
         InvalidInput: With a pointer to each invalid field.
@@ -110,7 +110,7 @@ class _Found:
 
 @dataclass(slots=True)
 class PairCache:
-    """The distinct pairs of campaigns that have finished, each searched for once.
+    """The distinct pairs of finished campaigns, each computed once.
 
     Attributes:
         engines: The database.
@@ -172,7 +172,7 @@ class PairCache:
 
 
 def _counted(connection: Connection, found: Sequence[tuple[Member, _Found]]) -> list[PairRepeat]:
-    """Return the pairs of campaigns, with what follow-ups that have ended say about them."""
+    """Return the pairs of campaigns, with the results of finished follow-ups on them."""
     return [
         PairRepeat(
             problem=member.problem,

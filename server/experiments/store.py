@@ -172,7 +172,7 @@ def count_in_flight(connection: Connection, campaigns: Sequence[str]) -> int:
 
 
 def completed_by(connection: Connection, campaigns: Sequence[Campaign], moment: datetime) -> int:
-    """Return how many candidates were completed by a point in time, those of generations that were open included.
+    """Return the number of candidates completed by a point in time, including those of open generations.
 
     Of campaigns that were cancelled or have failed, only the generations that were told count: the others have no
     results, although their jobs have ended.
@@ -217,7 +217,7 @@ One statement a campaign: in a join over all of them, no index limits the genera
 
 
 def cached_after(connection: Connection, campaigns: Sequence[Campaign], moment: datetime) -> int:
-    """Return how many candidates were given results from the cache, rather than by a worker, after a point in time.
+    """Return the number of candidates whose results came from the cache, not from a worker, after a point in time.
 
     Args:
         connection: For reading.

@@ -1,1 +1,1 @@
-"""What campaigns found: one folder for each kind of finding, and what all kinds have in common."""
+"""Findings of campaigns: one folder for each kind, and the code that all kinds share."""

@@ -1,4 +1,4 @@
-"""What every finding says, whatever its kind: a sentence, a typed view, tables, next steps."""
+"""The contents of every finding, whatever its kind: a sentence, a typed view, tables, next steps."""
 
 from enum import StrEnum
 from typing import Annotated, Any
@@ -23,7 +23,7 @@ class Role(StrEnum):
 
 
 class StepRequest(View):
-    """The request of the API that takes a step."""
+    """The API request that takes a step."""
 
     path: Annotated[str, Field(description="Path below `/api/v1`, for POST.")]
     body: dict[str, Any]
@@ -54,7 +54,7 @@ class Step(View):
 
 
 class Finding(View):
-    """One kind of what a campaign found."""
+    """One kind of a campaign's findings."""
 
     kind: str
     title: str
@@ -84,7 +84,7 @@ class FollowedView(View):
 
 
 class Findings(View):
-    """What a campaign found."""
+    """All findings of a campaign."""
 
     campaign: str
     complete: Annotated[bool, Field(description="Whether the campaign has ended.")]

@@ -115,11 +115,11 @@ class Kind(ABC):
         return self.id in getattr(problem, "finds", ())
 
     def fits(self, plan: Plan) -> bool:
-        """Return whether a campaign can have this kind, if its algorithm declares it or may come across it."""
+        """Return whether a campaign can have this kind if its algorithm declares it or may produce it."""
         return True
 
     async def find(self, subject: Subject) -> Finding:
-        """Return what a campaign found, of which at least one solution has been evaluated.
+        """Return the finding for a campaign with at least one evaluated solution.
 
         By default, that is what `analyse` returns, which runs in a thread and under a time limit. Plug-ins implement
         `analyse` alone: this one runs in the event loop.
@@ -127,15 +127,15 @@ class Kind(ABC):
         return await subject.sources.analyses.run(lambda: self.analyse(subject))
 
     def analyse(self, subject: Subject) -> Finding:
-        """Return what a campaign found, for kinds that need nothing but its archive."""
+        """Return the finding, for kinds that need only the campaign's archive."""
         raise NotImplementedError(f"findings of kind {self.id} implement neither find nor analyse")
 
     @abstractmethod
     def brief(self, listed: Listed) -> str:
-        """Return what a campaign found in at most five words; empty if it takes too long to tell."""
+        """Summarise the finding in at most five words; empty if that takes too long."""
 
     def leads_to(self, subject: Subject) -> list[Step]:
-        """Return steps for a campaign that was for something else, once everything about that has been asked."""
+        """Return steps for a campaign with another purpose, once all questions about that purpose have been asked."""
         return []
 
     def role(self, plan: Plan) -> Role | None:
@@ -170,7 +170,7 @@ def _plugin_kind(name: str, factory: Callable[[], object]) -> Kind | None:
 
 
 def all_kinds() -> list[Kind]:
-    """Return all kinds, the first to be told first, without plug-ins that cannot be loaded."""
+    """Return all kinds in order of presentation, without plug-ins that cannot be loaded."""
     found = [
         _plugin_kind(name, cast(Callable[[], object], load_plugin(FINDINGS, name)))
         for name in plugin_ids(FINDINGS)
@@ -180,7 +180,7 @@ def all_kinds() -> list[Kind]:
 
 
 def asked(kind: Kind, question: Callable[[], T], otherwise: T) -> T:
-    """Return what a kind answers; something else if it is a plug-in's and fails, which is logged.
+    """Return a kind's answer, or a fallback if the kind is a plug-in's and fails, which is logged.
 
     Args:
         kind: The kind.
@@ -202,7 +202,7 @@ def reported_by(problem: Problem) -> list[str]:
 
 
 async def find_safely(kind: Kind, subject: Subject) -> Finding:
-    """Return what a campaign found; that it cannot be told, if the kind is a plug-in's and fails."""
+    """Return a kind's finding, or a note that it is unavailable if the kind is a plug-in's and fails."""
     if not is_guarded(kind):
         return await kind.find(subject)
     failed = Finding(
@@ -216,7 +216,7 @@ async def find_safely(kind: Kind, subject: Subject) -> Finding:
 
 
 def kinds_of(plan: Plan) -> dict[Kind, Role]:
-    """Return the kinds of findings that a campaign has, those that it is for first, with why it has them."""
+    """Return a campaign's kinds of findings with their roles, those that it is for first."""
     asked_of = {kind: asked(kind, partial(kind.role, plan), None) for kind in all_kinds()}
     roles = {kind: role for kind, role in asked_of.items() if role is not None}
     exclusive = {kind: role for kind, role in roles.items() if kind.is_exclusive and role is Role.SOUGHT}

@@ -1,4 +1,4 @@
-"""Solutions with decoded parameters and what their simulations showed."""
+"""Solutions with decoded parameters and the outcomes of their simulations."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -104,7 +104,7 @@ def _solution(
 
 
 def _titles(space: SearchSpace) -> dict[str, str]:
-    """Return the titles of the parameters that have one of their own, with units, by full name."""
+    """Return the titles of the parameters that have their own, with units, by full name."""
     return {
         f"{component.name}.{parameter.name}": f"{parameter.title} ({unit})" if unit else parameter.title
         for component in space.components
@@ -127,7 +127,7 @@ def _outcome(row: Row[*tuple[Any, ...]], problem: Problem, stored: Mapping[str, 
 
 
 def _violated_view(one: Violated, stored: Mapping[str, Any]) -> ViolatedView:
-    """Return a violation, and who would have avoided it; a worker may have sent anything."""
+    """Return a violation, and who would have avoided it; the data comes from a worker and may be malformed."""
     reported = (stored.get("features") or {}).get("violations")
     found = [each for each in (reported if isinstance(reported, list) else []) if isinstance(each, Mapping)]
     circumstances = next((each for each in found if each.get("requirement") == one.requirement), {})
@@ -144,7 +144,7 @@ def _violated_view(one: Violated, stored: Mapping[str, Any]) -> ViolatedView:
 
 
 def activity_view(space: SearchSpace, activity: Activity) -> ActivityView:
-    """Return the response schema of what had a part in an episode."""
+    """Return the response schema of the parameters that were active in an episode."""
     names = space.column_names()
     return ActivityView(
         inactive=[name for name, active in zip(names, activity.active, strict=True) if not active],
@@ -154,7 +154,7 @@ def activity_view(space: SearchSpace, activity: Activity) -> ActivityView:
 
 
 def simulated(problem: Problem, row: Row[*tuple[Any, ...]]) -> SimulatedSolution:
-    """Return a stored solution with what its simulation showed."""
+    """Return a stored solution with the outcome of its simulation."""
     vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
     result = json.loads(row.result) if row.result else None
     return SimulatedSolution(vectors=vectors, activity=activity_of(problem, vectors, result), result=result)

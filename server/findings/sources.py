@@ -1,4 +1,4 @@
-"""Where findings are read from: the database and the caches of what takes long to compute."""
+"""The sources of findings: the database, and caches of slow computations."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Everything that a campaign found: its kinds of findings, the first of them in a sentence, and what to do next."""
+"""All findings of a campaign: its kinds of findings, a summary sentence from the first, and next steps."""
 
 import asyncio
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ MOST_ROWS: Final = 1_000
 
 
 async def find_all(sources: Sources, campaign: Campaign, *, rows: int = ROWS) -> Findings:
-    """Return all that a campaign found.
+    """Return all findings of a campaign.
 
     Args:
         sources: Where findings are read from.
@@ -60,7 +60,7 @@ async def find_all(sources: Sources, campaign: Campaign, *, rows: int = ROWS) ->
 
 
 async def find_kind(sources: Sources, campaign: Campaign, kind_id: str) -> Finding:
-    """Return one kind of what a campaign found, with all rows of its tables up to `MOST_ROWS`.
+    """Return one kind of a campaign's findings, with up to `MOST_ROWS` rows of each table.
 
     Raises:
         NotFound: The campaign does not have it, or nothing has been evaluated yet.
@@ -80,7 +80,7 @@ async def find_kind(sources: Sources, campaign: Campaign, kind_id: str) -> Findi
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Known:
-    """What is known of a campaign before its findings.
+    """The facts about a campaign that its findings build on.
 
     Attributes:
         kinds: The kinds of findings that it has, those that it is for first, with why it has them.
@@ -99,7 +99,7 @@ class _Known:
 
     @classmethod
     async def read(cls, sources: Sources, campaign: Campaign) -> "_Known":
-        """Read it."""
+        """Read them."""
         archive = await sources.archives.get(campaign)
 
         outcomes = await sources.outcomes.get(campaign.id, archive)
@@ -121,7 +121,7 @@ class _Known:
 
     @property
     def is_exclusive(self) -> bool:
-        """Whether its simulations say nothing but what it is for."""
+        """Whether its simulations are informative only about its purpose."""
         return any(kind.is_exclusive for kind in self.kinds)
 
     def subjects(self, rows: int) -> dict[Kind, Subject]:
@@ -141,7 +141,7 @@ class _Known:
 
     @property
     def violated(self) -> str:
-        """What unsafe drives did."""
+        """The violation that unsafe drives have in common."""
         return self.outcomes.kind_words(OutcomeKind.VIOLATED) if self.outcomes.requirements else "are unsafe"
 
 
@@ -172,7 +172,7 @@ def _all_failed(campaign: Campaign) -> bool:
 
 
 def _failures(campaign: Campaign) -> str:
-    """Return how many simulations failed: the finding does not rest on them."""
+    """Return how many simulations failed, on which the finding therefore does not rest."""
     count = f"{campaign.failed:,} of {campaign.completed:,} simulations failed"
     return f"{count} and count neither as safe nor as unsafe"
 
@@ -192,7 +192,7 @@ def _nothing_yet(known: _Known) -> str:
 
 
 async def _follow_up_words(known: _Known, followed: FollowedView) -> str:
-    """Return what a follow-up showed."""
+    """Summarise a follow-up."""
     sources, campaign = known.sources, known.campaign
     if followed.kind is FollowUpKind.CONFIRM:
         of = await sources.pages.read(sources.engines, lambda c: CAMPAIGNS.get(c, followed.campaign))
@@ -229,7 +229,7 @@ def _steps(known: _Known, found: Sequence[Finding]) -> list[Step]:
 
 
 def _leading_on(known: _Known) -> list[Step]:
-    """Return what leads on once everything about the findings themselves has been asked."""
+    """Return further steps, once all questions about the findings themselves have been asked."""
     campaign, plan = known.campaign, known.read_archive.plan
     steps = [
         Step(
@@ -269,7 +269,7 @@ def _leading_on(known: _Known) -> list[Step]:
 
 
 def _other_requirement(known: _Known) -> list[Step]:
-    """Return the step that changes what counts as a violation, if the problem knows more requirements."""
+    """Return the step that changes the requirement, if the problem supports others."""
     problem = known.campaign.body.problem
     if "requirement" not in problem.params or problem.params["requirement"] == ANY:
         return []

@@ -119,7 +119,7 @@ class Table(View):
 
 
 def cell_text(cell: Cell, form: Format) -> str:
-    """Return a value as people read it; empty if it is missing."""
+    """Return a value as displayed; empty if it is missing."""
     if cell is None:
         return ""
     if isinstance(cell, bool):

@@ -1,4 +1,4 @@
-"""Words that sentences of several kinds of findings share."""
+"""Words that the sentences of several kinds of findings share."""
 
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.problems.changes import as_sentence
@@ -17,14 +17,14 @@ def full_sentence(words: str) -> str:
 
 
 def so_far(campaign: Campaign, words: str) -> str:
-    """Return words about a campaign, which begin with how far it is if it has not ended."""
+    """Return words about a campaign, prefixed with its progress if it has not ended."""
     if campaign.status in ENDED:
         return words
     return f"so far, after {campaign.evaluated:,} of {campaign.budget:,} simulations: {words}"
 
 
 def listed_words(listed: int, distinct: int, what: str = "distinct boundary solution") -> str:
-    """Return how many solutions are listed, and of how many if these are not all.
+    """Return the number of solutions listed, and the total if not all are listed.
 
     Args:
         listed: How many are listed, best first.

@@ -48,7 +48,7 @@ class LlmAccess:
 
     @classmethod
     def parse(cls, text: str, environ: Mapping[str, str] | None = None) -> Self:
-        """Return what a setting allows.
+        """Parse the setting into rules.
 
         Args:
             text: Entries separated by commas: a base URL, followed by the names of the environment variables whose

@@ -1,4 +1,4 @@
-"""The stored language-model calls of a campaign, and what follows from them: its budget and its circuit breaker.
+"""The stored language-model calls of a campaign, and its budget and circuit breaker, which are derived from them.
 
 A call is one prompt, with all HTTP requests that it takes; a stored call is neither made nor paid again. The budget
 is checked before each request, with the most that the request may use. Unless both prices are set, a cost is unknown,
@@ -193,7 +193,7 @@ class CallLog(Protocol):
         ...
 
     def store(self, call: StoredCall) -> None:
-        """Store a call durably, replacing the same call with the outcome SENT."""
+        """Store a call durably, replacing the same call if its outcome was SENT."""
         ...
 
     def spent(self) -> Spent:
@@ -224,7 +224,7 @@ _USABLE: Final = frozenset({Outcome.OK, Outcome.TRUNCATED})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Breaker:
-    """The circuit breaker of a campaign, which follows from its stored calls, so that restarts do not reset it.
+    """The circuit breaker of a campaign, derived from its stored calls so that restarts do not reset it.
 
     Attributes:
         failed: Failed calls in a row, up to the last call.
@@ -238,12 +238,12 @@ class Breaker:
 
     @property
     def on_trial(self) -> bool:
-        """Whether the breaker is open, so that the next call is a trial, which has a single try."""
+        """Whether the breaker is open, so that the next call is a trial with a single attempt."""
         return self.failed >= FAILED_CALLS
 
     @property
     def words(self) -> str:
-        """Why no call is made, and until when."""
+        """Why calls are suspended, and until when."""
         return (
             f"the circuit breaker is open: {self.failed} failed calls in a row; no call for "
             f"{math.ceil(self.cools_s)} s; the last one: {self.error}"

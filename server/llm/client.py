@@ -96,7 +96,7 @@ def _allow_all(effort: Effort) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Call:
-    """How far a call may go, and how far it has come.
+    """The limits and the progress of a call.
 
     Attributes:
         tries: Maximum number of tries with one form of the reply.

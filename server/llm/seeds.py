@@ -279,7 +279,7 @@ class _Turns:
     def _store_before(
         self, stored: Callable[..., StoredCall], bill: _Bill, earlier: int
     ) -> Callable[[Effort], None]:
-        """Return what checks the budget and stores a call before each of its requests.
+        """Return a callback that checks the budget and stores a call before each of its requests.
 
         Args:
             stored: Makes the call as it is stored.
@@ -309,7 +309,7 @@ class _Turns:
     def _parse(
         self, raw: str | None, wanted: int, known: Sequence[Solution]
     ) -> tuple[Parsed, Outcome, str | None]:
-        """Return the content of a new or stored reply, its outcome, and what is wrong with it."""
+        """Return the content of a new or stored reply, its outcome, and its errors."""
         if raw is None:
             return Parsed(), Outcome.INVALID, None
         try:
@@ -340,7 +340,7 @@ def _outcome_of(error: LlmError) -> Outcome:
 
 
 def _failure_words(error: LlmError, breaker: Breaker, earlier: int) -> str | None:
-    """Say what happened to a call without a reply, and, if it was not made, to the last one before it."""
+    """Describe what happened to a call without a reply and, if it was not made, to the last call before it."""
     before = (
         f"the last call failed: {breaker.error}" if breaker.failed and isinstance(error, OverBudget) else None
     )
@@ -356,7 +356,7 @@ def _join_errors(errors: Sequence[FieldError]) -> str | None:
 
 
 def _join(*parts: str | None) -> str | None:
-    """Return the parts that there are as one text of bounded length; None if there are none."""
+    """Join the available parts into one text of bounded length; None if there are none."""
     return "; ".join(part for part in parts if part)[:_ERROR_CHARS] or None
 
 

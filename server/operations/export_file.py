@@ -1,4 +1,4 @@
-"""The file of an exported campaign, as it is read: what it may contain is bounded before it is unpacked.
+"""Reads the file of an exported campaign, whose contents are bounded before they are unpacked.
 
 A few kilobytes of a zip archive can stand for gigabytes, and what an archive says about itself need not be true. So
 nothing is read that is larger than it may be, and nothing is read in one piece but single values:
@@ -57,11 +57,11 @@ CampaignId = Annotated[str, Field(pattern=r"^[0-9A-Za-z]{1,16}$")]
 
 
 class BadFile(ServerError):
-    """The file was not written by `brink export`, is damaged, or is not what it says."""
+    """The file was not written by `brink export`, is damaged, or contradicts its manifest."""
 
 
 class Link(BaseModel):
-    """What a follow-up asks, as in the table of repeats."""
+    """The relation between a follow-up and its campaign, as in the table of repeats."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -79,7 +79,7 @@ class Link(BaseModel):
 
 
 class _Manifest(BaseModel):
-    """What a file says about itself."""
+    """The manifest of a file."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
 
@@ -194,7 +194,7 @@ class ExportFile:
                     raise BadFile(f"{member}, line {place}: {error}") from None
 
     def links(self) -> list[Link]:
-        """Return what the follow-ups in the file ask.
+        """Return the relations of the follow-ups in the file.
 
         Raises:
             BadFile: They do not fit the members of the file.
@@ -263,7 +263,7 @@ class ExportFile:
                 yield row
 
     def _shape(self, member: str, file: IO[bytes], dtype: str) -> tuple[int, ...]:
-        """Read the header of an array; return its shape, whose size is that of the rest of the member."""
+        """Read the header of an array; return its shape, whose size matches the rest of the member."""
         try:
             shape, found, order = read_header(file, self._archive.getinfo(member).file_size)
         except ValueError as error:

@@ -1,4 +1,4 @@
-"""Checks and converts the values of imported rows: as strict as the API is with what becomes such rows.
+"""Checks and converts the values of imported rows, as strictly as the API checks its input.
 
 The columns of the tables say most: types, lengths, what may be null. `_RULES` has what they do not say.
 """

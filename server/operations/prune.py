@@ -60,7 +60,7 @@ def prune(
 
 
 def _old_trees(connection: Connection, moment: datetime) -> list[str]:
-    """Return the roots of the trees that ended before a point in time, as did all that belongs to them."""
+    """Return the roots of the trees that ended before a point in time, with everything that belongs to them."""
     query = (
         select(CampaignRow.id, CampaignRow.status, CampaignRow.finished_at)
         .where(CampaignRow.deleted_at.is_(None))

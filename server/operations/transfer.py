@@ -223,7 +223,7 @@ def _export(connection: Connection, members: _Members, campaign_id: str) -> dict
 
 
 def _links(connection: Connection, campaign_id: str) -> list[Link]:
-    """Return what the follow-ups of a campaign ask, and their follow-ups, each after the one that it is about."""
+    """Return the follow-ups of a campaign and their own, each after the campaign it is about."""
     found, waiting = list[Link](), [campaign_id]
     while waiting:
         own = RepeatsRow.of_id == waiting.pop(0)

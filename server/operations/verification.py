@@ -35,7 +35,7 @@ _ITS_JOB: Final = and_(
 
 @dataclass(slots=True)
 class Verification:
-    """What was verified of a campaign.
+    """The result of verifying a campaign.
 
     Attributes:
         verified: Number of solutions.
@@ -50,7 +50,7 @@ class Verification:
     words: list[str] = field(default_factory=list)
 
     def note(self, words: str) -> None:
-        """Count a damaged solution, and remember what is wrong if it is one of the first."""
+        """Count a damaged solution, and keep the description of the first few."""
         self.damaged += 1
         if len(self.words) < NAMED:
             self.words.append(words)
@@ -171,7 +171,7 @@ def _spec_matches(row: _Stored) -> bool:
 
 
 def _wrong(problem: SimulatedProblem, row: _Stored) -> str | None:
-    """Return what is wrong with a solution, or None."""
+    """Describe what is wrong with a solution; None if nothing is."""
     if not _spec_matches(row):
         return "the specification of its job does not match its hash"
     if row.result is None:

@@ -138,7 +138,7 @@ def scenario_component() -> Component:
 
 
 def perturbation_component(count: int, genes: tuple[str, ...] = tuple(CATALOGUE)) -> Component:
-    """Return the component of ordered perturbations: for each, a gene and an intensity that selects its level."""
+    """Return the component of ordered perturbations, each a gene and an intensity that selects its level."""
     pairs = tuple((f"gene_{place}", f"intensity_{place}") for place in range(1, count + 1))
     return Component(
         "perturbation",

@@ -34,7 +34,7 @@ class NoParams:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Activity:
-    """Which parameters of a solution had a part in its episode, and the values that they had there.
+    """Which parameters of a solution were active in its episode, and the values that they had there.
 
     A parameter is inactive if its value cannot have influenced the episode: for example, the box of an injected
     trajectory that begins after the episode ended. Arrays have one entry for each parameter, in the order of
@@ -71,7 +71,7 @@ class SimulatedSolution:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeverityScale:
-    """What severities from 0 to 1 mean in a physical unit; the two are proportional.
+    """The physical magnitudes of severities from 0 to 1, which are proportional to them.
 
     Attributes:
         unit: The unit in which people are shown magnitudes, such as ``s`` or ``%``.
@@ -101,7 +101,7 @@ class SeverityScale:
 
 
 class BaseProblem(ABC):
-    """What all problems have; attributes with a default are optional.
+    """Base class of all problems; attributes with a default are optional.
 
     Attributes:
         id: Versioned plug-in id.
@@ -150,7 +150,7 @@ class BaseProblem(ABC):
         return []
 
     def wrong_criticality(self) -> tuple[str, str] | None:
-        """Return the parameter that makes criticality say nothing about the requirement, and a message; or None."""
+        """Return the parameter that keeps criticality from measuring the requirement, and a message; or None."""
         return None
 
     def words(self, vectors: Vectors) -> str:
@@ -160,7 +160,7 @@ class BaseProblem(ABC):
     def words_of_change(
         self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
     ) -> str:
-        """Describe what is different in the unsafe one, such as ``a person is reported from 4.1 s instead of 4.3 s``.
+        """Describe what differs in the unsafe one, such as ``a person is reported from 4.1 s instead of 4.3 s``.
 
         Args:
             safe: The safe solution.
@@ -174,7 +174,7 @@ class BaseProblem(ABC):
         return ""
 
     def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
-        """Return which parameters of a candidate had a part in its episode; None if that was not recorded.
+        """Return which parameters of a candidate were active in its episode; None if that was not recorded.
 
         Args:
             vectors: The candidate.
@@ -183,7 +183,7 @@ class BaseProblem(ABC):
         return None
 
     def severity_scale(self, choices: Mapping[str, str]) -> SeverityScale | None:
-        """Return what severities mean, given other choices, such as the type of error; None if that is unknown.
+        """Return the scale of severities, given other choices, such as the type of error; None if it is unknown.
 
         Args:
             choices: Choices of other parameters, by component.parameter.
@@ -230,7 +230,7 @@ class SimulatedProblem(BaseProblem):
         return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
 
     def with_truth(self) -> Self | None:
-        """Return the same problem with ground truth in place of the component; None if it has none, or is that.
+        """Return the problem with ground truth in place of the component; None if it has none or already uses it.
 
         Solutions are those of the same space, although some of their parameters then have no part in the episode.
         """
@@ -241,7 +241,7 @@ class SimulatedProblem(BaseProblem):
         return truth
 
     def replicate(self, seed: int) -> int:
-        """Return which replicate of an uncertain model the episode with a seed draws."""
+        """Return the replicate of an uncertain model that the episode with a seed draws."""
         return 0
 
 
@@ -281,7 +281,7 @@ Problem: TypeAlias = SimulatedProblem | InProcessProblem
 
 
 class MeasuredSeverity(NamedTuple):
-    """How gross a measured error was.
+    """The severity of a measured error.
 
     Attributes:
         severity: On the scale of the error; above 1 beyond it.
@@ -310,7 +310,7 @@ class RatesMeasuredErrors(Protocol):
         measures: Mapping[str, Mapping[str, float]],
         at_least: Mapping[str, Collection[str]],
     ) -> MeasuredSeverity | None:
-        """Return how severe an error was in a drive; None if the drive does not tell.
+        """Return the severity of an error in a drive; None if the drive does not show it.
 
         Args:
             choices: Which error, as choices of parameters by component.parameter.
@@ -345,7 +345,7 @@ class SupportsSeeds(Protocol):
 
 
 def activity_of(problem: Problem, vectors: Vectors, result: Mapping[str, Any] | None) -> Activity | None:
-    """Return which parameters of a solution had a part in its episode, and the values that they had there.
+    """Return which parameters of a solution were active in its episode, and the values that they had there.
 
     This is the only place that decides so. Words, tables, plots, rules and the differences between two drives use
     it. Where a parameter is active in either of two drives, compare its values as chosen, not `Activity.effective`:

@@ -137,7 +137,7 @@ def _load(group: str, plugin_id: str, pointer: str, what: str) -> Any:
 
 
 def run_plugin(group: str, plugin_id: str, what: str, run: Callable[[], T]) -> T:
-    """Run code of a plug-in and return its result: if a user brought it, as `brink.server.user_code` says.
+    """Run code of a plug-in and return its result; limit it as `brink.server.user_code` does if a user brought it.
 
     Args:
         group: Group of the plug-in.
@@ -186,7 +186,7 @@ def is_baseline(algorithm_id: str) -> bool:
 
 
 def algorithms_that(supports: type[Any]) -> list[str]:
-    """Return the ids of the algorithms that have a protocol's methods, without plug-ins that cannot be loaded."""
+    """Return the ids of the algorithms that implement a protocol, without plug-ins that cannot be loaded."""
     able = []
     for algorithm_id in plugin_ids(ALGORITHMS):
         try:
@@ -230,7 +230,7 @@ def make_problem(problem_id: str, params: Mapping[str, Any]) -> Problem:
 
 
 def spelled_out(problem_id: str, params: Mapping[str, Any]) -> tuple[Problem, dict[str, Any]]:
-    """Return a problem and all its parameters; the ODD is among them only if it limits something.
+    """Return a problem with all its parameters spelled out; the ODD is among them only if it limits something.
 
     Args:
         problem_id: Id of the problem.

@@ -100,7 +100,7 @@ def _moved(differences: Sequence[tuple[Parameter, float]]) -> float | None:
 
 
 def moved_words(changes: Sequence[Change]) -> str:
-    """Return how far the differences that had a part in either episode moved, as shares of their ranges.
+    """Return how far the active parameters moved, as shares of their ranges.
 
     Returns:
         Such as ``1 number moves by 24% of its range; 1 category changes``. Empty if nothing had a part.
@@ -172,14 +172,14 @@ def _values(safe: Value, unsafe: Value, unit: str) -> str:
 
 
 def instead(old: Value, new: Value, unit: str = "") -> str:
-    """Return in words that a value is another one, such as ``1.5 s instead of 1.3 s``."""
+    """Return the phrase for a changed value, such as ``1.5 s instead of 1.3 s``."""
     before, after = different(old, new)
     suffix = unit if unit in ("", "%") else f" {unit}"
     return f"{after}{suffix} instead of {before}{suffix}"
 
 
 def different(first: Value, second: Value) -> tuple[str, str]:
-    """Return two values in so many digits that they can be told apart."""
+    """Return two values with enough digits to tell them apart."""
     if not isinstance(first, float) or not isinstance(second, float):
         return str(first), str(second)
     whole = len(f"{max(abs(first), abs(second)):.0f}")

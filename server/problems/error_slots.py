@@ -59,17 +59,17 @@ def slots_component(slots: Sequence[Sequence[Parameter]]) -> Component:
 
 
 def interchangeable(parts: Sequence[Sequence[str]]) -> tuple[tuple[str, ...], ...]:
-    """Return parts in the form in which a component has them: a single one is not interchangeable."""
+    """Return parts as a component expects interchangeable ones: a single part is not interchangeable."""
     return tuple(map(tuple, parts)) if len(parts) > 1 else ()
 
 
 def prefixes(name: str, count: int) -> list[str]:
-    """Return the prefixes of the parameters of so many slots, such as ``error_1.``."""
+    """Return the prefixes of the parameters of the slots, such as ``error_1.``."""
     return [f"{name}_{index}." for index in range(1, count + 1)]
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Return whether a feature of a result, which any worker may have sent, is a number."""
+    """Return whether a feature of a worker's result is a number."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
@@ -121,7 +121,7 @@ def slots_in(component: Component) -> tuple[Slot, ...]:
 
 
 class Parts:
-    """Which parameters had a part in an episode, to be narrowed from all of them."""
+    """The parameters that were active in an episode, to be narrowed down from all of them."""
 
     def __init__(self, space: SearchSpace, vectors: Vectors) -> None:
         self._parameters = space.parameters
@@ -132,12 +132,12 @@ class Parts:
         )
 
     def leave_out(self, component: str, names: Collection[str]) -> None:
-        """Record that parameters had no part; names that the component lacks are ignored."""
+        """Record that parameters were inactive; names that the component lacks are ignored."""
         full = [f"{component}.{name}" for name in names]
         self.active[[self._columns[name] for name in full if name in self._columns]] = False
 
     def silence(self, component: str, choice: str, none: str, numbers: Collection[str]) -> None:
-        """Describe the episode as one in which a choice was the one for none, and its numbers dormant."""
+        """Treat a choice as its null choice in the episode, with its numbers dormant."""
         column = self._columns[f"{component}.{choice}"]
         parameter = self._parameters[column]
         assert isinstance(parameter, Categorical)
@@ -145,7 +145,7 @@ class Parts:
         self.zero(component, numbers)
 
     def zero(self, component: str, numbers: Collection[str]) -> None:
-        """Describe the episode as one in which numbers that had no part were 0."""
+        """Treat inactive numbers as 0 in the episode."""
         self.effective[[self._columns[f"{component}.{name}"] for name in numbers]] = 0.0
 
 
@@ -166,21 +166,21 @@ class SlottedBehaviour(SimulatedProblem):
         return slots_in(self.space.components[-1])
 
     def narrow_scenario(self, parts: Parts, scenario: Values, features: Mapping[str, Any]) -> None:
-        """Record which parameters of a decoded scenario had no part in the episode."""
+        """Record which parameters of a decoded scenario were inactive in the episode."""
 
     def acted(self, features: Mapping[str, Any], present: Sequence[Slot]) -> Collection[Slot] | None:
-        """Return in which slots something acted in an episode; None if that was not recorded."""
+        """Return in which slots something took effect in an episode; None if that was not recorded."""
         steps = steps_from_json(features.get(self.acted_feature))
         if self.is_true or steps is None or len(steps) != len(present):
             return None
         return [slot for slot, at in zip(present, steps, strict=True) if at is not None]
 
     def unused_in(self, slot: Slot, behaviour: Values) -> Collection[str]:
-        """Return the parameters, without prefix, that what is in a slot does not have, because of its type."""
+        """Return the parameters, without prefix, that the content of a slot lacks because of its type."""
         return ()
 
     def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
-        """Return which parameters had a part in an episode: those that the type of an error has, if it acted."""
+        """Return which parameters were active in an episode: those of each error that took effect."""
         values = self.space.decode(tuple(vectors))
         behaviour = values[BEHAVIOUR]
         present = [slot for slot in self.slots if not slot.is_empty(behaviour)]
@@ -223,7 +223,7 @@ class ErrorSlots(SlottedBehaviour, Generic[E]):
 
     @abstractmethod
     def words_of_changed_error(self, old: E, new: E, changed: Set[str]) -> str:
-        """Describe how an error differs from another one of the same `identity`; empty if nothing visible does.
+        """Describe how an error differs from another with the same `identity`; empty without a visible difference.
 
         Args:
             old: The error in the safe episode.
@@ -233,7 +233,7 @@ class ErrorSlots(SlottedBehaviour, Generic[E]):
 
     @abstractmethod
     def scenario_changes(self, old: Values, new: Values, changed: Collection[str]) -> list[str]:
-        """Describe what is different in the unsafe one of two decoded scenarios, one part for each parameter.
+        """Describe the differences of the unsafe decoded scenario from the safe one, one part for each parameter.
 
         Args:
             old: The safe scenario.
@@ -250,7 +250,7 @@ class ErrorSlots(SlottedBehaviour, Generic[E]):
         return self.unused(self.error(behaviour, slot))
 
     def errors(self, behaviour: Values) -> list[E]:
-        """Return the errors of a decoded behaviour; none if the perception is true."""
+        """Return the errors of a decoded behaviour; none if perception is perfect."""
         if self.is_true:
             return []
         return [self.error(behaviour, slot) for slot in self.slots if not slot.is_empty(behaviour)]
@@ -262,7 +262,7 @@ class ErrorSlots(SlottedBehaviour, Generic[E]):
     def words_of_change(
         self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
     ) -> str:
-        """Describe what is different in the unsafe one of two candidates."""
+        """Describe the differences of the unsafe candidate from the safe one."""
         old, new = (self.space.decode(tuple(side.vectors)) for side in (safe, unsafe))
         parts = self.scenario_changes(old.get(SCENARIO, {}), new.get(SCENARIO, {}), changed)
         for slot in self.slots:
@@ -316,7 +316,7 @@ class PerceptionError(Protocol):
         ...
 
     def words_with(self, magnitude: str) -> str:
-        """Return what is wrong in words, with the magnitude as given and without the times."""
+        """Describe the error with the given magnitude and without the times."""
         ...
 
 
@@ -339,7 +339,7 @@ class PerceptionErrors(ErrorSlots[P]):
         return f"{BEHAVIOUR}.{self.slots[0].prefix}{name}"
 
     def study_of_severity(self, fixed: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the parameters of an algorithm that studies the severity of one error.
+        """Return the parameters of an algorithm for studying the severity of one error.
 
         Args:
             fixed: Parameters of the first slot that stay fixed, besides there being no other errors.
@@ -387,7 +387,7 @@ class PerceptionErrors(ErrorSlots[P]):
         return f"from {instead(old.onset_s, new.onset_s, 's')}"
 
     def severity_scale(self, choices: Mapping[str, str]) -> SeverityScale | None:
-        """Return what severities mean, given the type of the first error."""
+        """Return the scale of severities, given the type of the first error."""
         kind = choices.get(self.first("type"), NO_ERROR)
         if kind == NO_ERROR:
             return None

@@ -1,4 +1,4 @@
-"""The problem `function@1`: the search space and the verdicts of a function that somebody wrote in Python.
+"""The problem `function@1`: a user's Python function, with its search space and verdicts.
 
 The coordinator knows its space, not its code: the workers that `brink.search` starts have the function, and announce
 its digest as their capability. So no other worker is ever asked to run it.
@@ -43,7 +43,7 @@ class FunctionParams:
 
 
 class Function(SimulatedProblem):
-    """A function of one's own that returns how far it is from a violation."""
+    """A user's function that returns how far it is from a violation."""
 
     id: ClassVar[str] = "function@1"
     summary: ClassVar[str] = "A Python function of your own, submitted by brink.search()."
@@ -60,7 +60,7 @@ class Function(SimulatedProblem):
         self.ignores_seeds = not params.takes_seed
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return that the function is missing, if the campaign was not submitted from Python."""
+        """Return an error if the campaign was not submitted from Python, as its function is then missing."""
         if self.params.digest:
             return []
         return [("function", "expected a function: call brink.search(function, space) in Python")]

@@ -1,4 +1,4 @@
-"""The problem `gymnasium@1`: a policy in any Gymnasium environment, on observations that are perturbed.
+"""The problem `gymnasium@1`: a policy in any Gymnasium environment, with perturbed observations.
 
 The scenario is made of ranges of the environment's arguments and reset options, and of the seed of the reset; the
 behaviour is a number of perturbations of single numbers of the observation. Source: ours.
@@ -248,7 +248,7 @@ class GymnasiumProblem(ErrorSlots[Perturbation]):
         self._index = {name: index for index, (name, _) in enumerate(self._observed)}
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return what is wrong with the names of the policy and the margin; workers check them again."""
+        """Return errors in the names of the policy and the margin; workers check them again."""
         wrong = []
         for name in ("policy", "margin"):
             if not (given := getattr(self.params, name)) and name == "margin":
@@ -318,7 +318,7 @@ class GymnasiumProblem(ErrorSlots[Perturbation]):
         return error.words(self._observed[error.dimension][0])
 
     def scenario_changes(self, old: Values, new: Values, changed: Collection[str]) -> list[str]:
-        """Describe what is different in the unsafe one of two scenarios, one part for each parameter."""
+        """Describe the differences of the unsafe scenario from the safe one, one part for each parameter."""
         return [
             f"{_plain(name)} {instead(value, new[name])}"
             for name, value in old.items()

@@ -1,4 +1,4 @@
-"""The problem `highway-perception@1`: highway-env's roads with a car whose perception of other vehicles has errors.
+"""The problem `highway-perception@1`: highway-env's roads and a car with errors in its perception of other vehicles.
 
 The behaviour is a number of errors relative to the truth; without any, the car perceives all vehicles around it as
 they are. Source: ours, after `urban-errors@1`.
@@ -126,7 +126,7 @@ def errors_component(count: int, duration_s: float) -> Component:
 
 
 class HighwayPerception(PerceptionErrors[PerceptionError]):
-    """Driving in highway-env on a perception that reports the truth with errors."""
+    """Driving in highway-env with errors in the perception of other vehicles."""
 
     id: ClassVar[str] = "highway-perception@1"
     summary: ClassVar[str] = (
@@ -198,7 +198,7 @@ class HighwayPerception(PerceptionErrors[PerceptionError]):
         return f"{scenario.words}; {self.words_of_errors(decoded[BEHAVIOUR]) or 'no error'}"
 
     def scenario_changes(self, old: Values, new: Values, changed: Collection[str]) -> list[str]:
-        """Describe what is different in the unsafe one of two scenarios, one part for each parameter."""
+        """Describe the differences of the unsafe scenario from the safe one, one part for each parameter."""
         return _scenario_changes(old, new, changed)
 
     def narrow_scenario(self, parts: Parts, scenario: Values, features: Mapping[str, Any]) -> None:

@@ -160,7 +160,7 @@ class NpcActions(SimulatedProblem):
         return self.params.criticality == "gap"
 
     def wrong_criticality(self) -> tuple[str, str] | None:
-        """Return the parameter that makes criticality say nothing about the requirement, and a message; or None."""
+        """Return the parameter that keeps criticality from measuring the requirement, and a message; or None."""
         if not self.by_gap or self.params.violation in _BY_GAP:
             return None
         return "criticality", (
@@ -236,7 +236,7 @@ class NpcActions(SimulatedProblem):
         return words_of_traffic_change(self._rule, safe.vectors[0], unsafe.vectors[0], names)
 
     def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
-        """Return which road users and actions had a part in an episode: actions that began before it ended.
+        """Return which road users and actions were active in an episode: actions that began before it ended.
 
         A vehicle that has to wait for others is later than its script, so an action counts as active if it might have
         begun.
@@ -266,7 +266,7 @@ class NpcActions(SimulatedProblem):
         ]
 
     def _counts(self, requirement: object) -> bool:
-        """Return whether a violation of a requirement makes a solution unsafe, in old campaigns, too."""
+        """Return whether a violation of a requirement makes a solution unsafe, including in old campaigns."""
         return requirement in self.requirements or FORMER.get(str(requirement)) in self.requirements
 
     def evaluation(self, outcome: Completed) -> Evaluation:
@@ -296,7 +296,7 @@ class NpcActions(SimulatedProblem):
 
     @staticmethod
     def _robustness(outcome: Completed, requirement: str) -> float:
-        """Return the robustness of a requirement; results of old campaigns have it by its former id."""
+        """Return the robustness of a requirement, which results of old campaigns store under its former id."""
         former = {new: old for old, new in FORMER.items()}
         verdict = outcome.verdicts.get(requirement) or outcome.verdicts[former.get(requirement, requirement)]
         return verdict.robustness
@@ -304,7 +304,7 @@ class NpcActions(SimulatedProblem):
     def _niches(
         self, violations: Sequence[Mapping[str, Any]], closest: Any, value: float
     ) -> tuple[Niche, ...]:
-        """Return what a solution did: its violations, or its closest approach if there are none.
+        """Return the niches of a solution: its violations, or its closest approach if there are none.
 
         Args:
             violations: Circumstances of its violations.

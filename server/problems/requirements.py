@@ -1,4 +1,4 @@
-"""The requirements that give a problem's verdict: how campaigns choose them, and what they say of an episode."""
+"""The requirements that give a problem's verdict: how campaigns choose them, and how they appear in words."""
 
 import dataclasses
 from collections.abc import Sequence

@@ -175,7 +175,7 @@ class SumoDrivers(PerceptionErrors[PerceptionError]):
         self.timeout_s = params.timeout_s
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return the errors of one's own network and demand."""
+        """Return errors in the user's own network and demand."""
         params = self.params
         if not params.network_file:
             return []
@@ -251,15 +251,15 @@ class SumoDrivers(PerceptionErrors[PerceptionError]):
         return "; ".join(filter(None, (traffic.words, traffic.incident_words, error)))
 
     def scenario_changes(self, old: Values, new: Values, changed: Collection[str]) -> list[str]:
-        """Describe what is different in the unsafe one of two scenarios, one part for each parameter."""
+        """Describe the differences of the unsafe scenario from the safe one, one part for each parameter."""
         return _traffic_changes(old, new, changed)
 
     def error_words(self, choices: Mapping[str, str], magnitude: str) -> str:
-        """Return an error as an activity, such as ``perceiving things ahead 30% too far away``."""
+        """Describe an error as an activity, such as ``perceiving things ahead 30% too far away``."""
         return activity_of_error(ErrorType(choices[self.first("type")]), magnitude)
 
     def acted(self, features: Mapping[str, Any], present: Sequence[Slot]) -> Collection[Slot] | None:
-        """Return the error if it acted; None if the episode does not tell."""
+        """Return the error if it took effect; None if the episode does not show it."""
         if not is_number(features.get("ended_at_s")):
             return None
         return present if not self.is_true and is_number(features.get("error_acted_at_s")) else ()
@@ -291,7 +291,7 @@ _SECONDS: Final = {
 
 
 def _traffic_changes(old: Values, new: Values, changed: Collection[str]) -> list[str]:
-    """Describe what is different in the unsafe one of two scenarios, one part for each parameter."""
+    """Describe the differences of the unsafe scenario from the safe one, one part for each parameter."""
     names = {name.removeprefix("scenario.") for name in changed if name.startswith("scenario.")}
     parts = []
     if "network" in names:

@@ -210,7 +210,7 @@ def _changes_of_action(sides: _Sides, ordinal: str, gene: tuple[str, str, str]) 
 
 
 def _manoeuvre(new: str, old: str) -> str:
-    """Return in words that an action is another one, or is there in only one of two candidates."""
+    """Describe an action that is another one, or occurs in only one of two candidates."""
     if NONE in (new, old):
         action, what = (old, "is left out") if new == NONE else (new, "is added")
         return f"({_DOING[Action(action)]}) {what}"
@@ -218,7 +218,7 @@ def _manoeuvre(new: str, old: str) -> str:
 
 
 def _apart(sides: _Sides, name: str, positive: str, negative: str) -> str:
-    """Return two positions in words: ``55 m ahead instead of 43 m``; the side is repeated where it is another."""
+    """Describe two positions, such as ``55 m ahead instead of 43 m``; the side is repeated if it differs."""
     new, old = (float(value) for value in sides.values(name))
     now, was = different(abs(new), abs(old))
     side, former = (positive if value >= 0 else negative for value in (new, old))
@@ -226,7 +226,7 @@ def _apart(sides: _Sides, name: str, positive: str, negative: str) -> str:
 
 
 def _way(heading_rad: float) -> str:
-    """Return which way a road user heads at the start."""
+    """Return the direction in which a road user heads at the start."""
     if abs(math.sin(heading_rad)) > 0.5:
         return "across to the left" if heading_rad > 0 else "across to the right"
     return "the same way as the ego" if math.cos(heading_rad) > 0 else "towards the ego"

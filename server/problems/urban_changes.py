@@ -69,7 +69,7 @@ def words_of_changes(
     ended_at_step: float = float("inf"),
     unsafe_ended_at_step: float | None = None,
 ) -> str:
-    """Describe what is different in the unsafe one of two candidates; empty if no value differs visibly.
+    """Describe the differences of the unsafe candidate from the safe one; empty if no value differs visibly.
 
     Args:
         safe: Decoded parameters of the safe candidate, by component and name.
@@ -102,7 +102,7 @@ def words_of_changes(
 def scenario_changes(
     safe: Mapping[str, Any], unsafe: Mapping[str, Any], changed: Collection[str]
 ) -> list[str]:
-    """Describe what is different in the unsafe one of two scenarios, one part for each parameter.
+    """Describe the differences of the unsafe scenario from the safe one, one part for each parameter.
 
     Args:
         safe: Decoded parameters of the safe scenario, by name.
@@ -117,7 +117,7 @@ def scenario_changes(
 
 
 def _description(parts: Sequence[_Clause]) -> str:
-    """Return all parts in one sentence or, if that would be long, what differs most and how much else does."""
+    """Join all parts into a sentence or, if that would be long, the largest differences and a count of the others."""
     if not parts:
         return ""
     whole = "; ".join(part.text for part in parts)
@@ -190,7 +190,7 @@ class _Reports:
         return [*parts, *self._times(), *self._boxes()]
 
     def _name(self, number: int, safe: Mapping[str, Any]) -> str:
-        """Return what the trajectory reports, such as ``the reported person``, told apart from others like it."""
+        """Return what the trajectory reports, such as ``the reported person``, distinguished from similar ones."""
         label = self._new["label"]
         if label == b.NULL_LABEL:
             label = safe[f"trajectory_{number}.label"]
@@ -204,7 +204,7 @@ class _Reports:
         return f"the {_ORDINALS[earlier]} reported {label}"
 
     def _vanished(self) -> str:
-        """Say that what is reported in the safe drive is not in the unsafe one, or only after its violation."""
+        """Describe a report of the safe drive that the unsafe one lacks, or has only after its violation."""
         label, seconds = self._old["label"], _seconds(self._old)
         second = self._among(self._others[1], label, self._end_step)
         ended = self._unsafe_ended_at_step
@@ -219,7 +219,7 @@ class _Reports:
         return f"no {second}{label} is reported{when}; in the safe drive, one is from {seconds}"
 
     def _appeared(self) -> str:
-        """Say that what is reported before the violation is not reported in the safe drive, or only later."""
+        """Describe a report before the violation that the safe drive lacks, or has only later."""
         label, seconds = self._new["label"], _seconds(self._new)
         later = self._old["label"] == label
         until_step = self._old["t0_step"] if later else float("inf")
@@ -229,7 +229,7 @@ class _Reports:
 
     @staticmethod
     def _among(others: Sequence[Mapping[str, Any]], label: str, until_step: float) -> str:
-        """Return which one of its label a trajectory would be, such as ``second`` followed by a space.
+        """Return the ordinal of a trajectory among those of its label, such as ``second`` followed by a space.
 
         Empty if no other trajectory of the drive has the label and begins before the step.
         """
@@ -262,7 +262,7 @@ class _Reports:
         return []
 
     def _boxes(self) -> list[_Clause]:
-        """Return how the boxes differ at the time at which they differ most."""
+        """Describe how the boxes differ at the time of their largest difference."""
         if not any(name.endswith("_px") for name in self._changed):
             return []
         first = max(self._old["t0_step"], self._new["t0_step"])
@@ -298,14 +298,14 @@ class _Reports:
         return _largest(self._moves(step))
 
     def _times_as_far(self, step: float) -> float:
-        """Return how many times as far away the farther one of both boxes is at a step."""
+        """Return the ratio of the larger to the smaller distance of both boxes at a step."""
         was, now = self._places(step)
         if was is None or now is None:
             return 1.0
         return max(now.ahead_m, was.ahead_m) / min(now.ahead_m, was.ahead_m)
 
     def _moves(self, step: float) -> list[_Clause]:
-        """Return how the box of the unsafe drive differs at a step from that of the safe one."""
+        """Describe how the box of the unsafe drive differs from that of the safe one at a step."""
         old, new = self._both(step)
         places = self._places(step)
         return [*_across(old, new, *places), *_upright(old, new, *places)]
@@ -340,7 +340,7 @@ def _box_at(values: Mapping[str, Any], step: float) -> dict[str, float]:
 def _across(
     old: Mapping[str, float], new: Mapping[str, float], was: "_Place | None", now: "_Place | None"
 ) -> list[_Clause]:
-    """Return how the left and right edges differ."""
+    """Describe how the left and right edges differ."""
     left, right = (new[f"x_{side}"] - old[f"x_{side}"] for side in ("min", "max"))
     shift, growth = 0.5 * (left + right), right - left
     moved = abs(shift) >= max(_LEAST_PX, _MINOR * abs(growth))
@@ -361,7 +361,7 @@ def _across(
 def _upright(
     old: Mapping[str, float], new: Mapping[str, float], was: "_Place | None", now: "_Place | None"
 ) -> list[_Clause]:
-    """Return how the upper and lower edges differ: by them, things are farther away or taller."""
+    """Describe how the upper and lower edges differ, which determine distance and height."""
     upper, lower = (new[f"y_{side}"] - old[f"y_{side}"] for side in ("min", "max"))
     lowered = abs(lower) >= max(_LEAST_PX, _MINOR * abs(upper))
     raised = abs(upper) >= max(_LEAST_PX, _MINOR * abs(lower))
@@ -394,7 +394,7 @@ def _others(number: int, behaviour: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 class _Place(NamedTuple):
-    """Where the driving system takes a box to be.
+    """Where the driving system locates a box.
 
     Attributes:
         ahead_m: Distance ahead of the camera.
@@ -413,7 +413,7 @@ class _Place(NamedTuple):
     by_lower_edge: bool
 
     def reach(self, digits: int) -> str:
-        """Return from where to where it reaches."""
+        """Return the range that it covers."""
         if self.right_m >= 0:
             return f"{self.right_m:.{digits}f} to {self.left_m:.{digits}f} m left"
         if self.left_m <= 0:
@@ -422,7 +422,7 @@ class _Place(NamedTuple):
 
 
 def _place(label: str, box: Mapping[str, float]) -> _Place | None:
-    """Return where the driving system takes a box to be; None if it ignores the box."""
+    """Return where the driving system locates a box; None if it ignores the box."""
     found = Box(ObstacleLabel(label), box["x_min"], box["x_max"], box["y_min"], box["y_max"])
     ahead_m = depth_m(found, _CAMERA, _LOCALISATION)
     if ahead_m is None:
@@ -439,7 +439,7 @@ def _place(label: str, box: Mapping[str, float]) -> _Place | None:
 
 
 def _aside(old: _Place, new: _Place) -> str:
-    """Return how far to the side the middle of each box is."""
+    """Describe how far to the side the middle of each box is."""
     lefts = old.middle_m, new.middle_m
     sides = ["left" if left > 0 else "right" for left in lefts]
     same_side = sides[0] == sides[1]
@@ -449,13 +449,13 @@ def _aside(old: _Place, new: _Place) -> str:
 
 
 def _span(old: _Place, new: _Place) -> str:
-    """Return from where to where each box reaches."""
+    """Describe the range that each box covers."""
     digits = 2 if old.reach(1) == new.reach(1) else 1
     return f"spans {new.reach(digits)} of straight ahead instead of {old.reach(digits)}"
 
 
 def _different(first: float, second: float, *, alike: bool = True) -> tuple[str, str]:
-    """Return two lengths with one decimal, or with two if they are `alike` in all else and in the first."""
+    """Return two lengths with one decimal, or with two if they are `alike` otherwise and equal with one."""
     digits = 2 if alike and f"{first:.1f}" == f"{second:.1f}" else 1
     return f"{first:.{digits}f}", f"{second:.{digits}f}"
 

@@ -160,7 +160,7 @@ class UrbanErrors(PerceptionErrors[DetectionError]):
         return f"{words_of_scenario(scenario_of(decoded[SCENARIO]))}; {errors}"
 
     def scenario_changes(self, old: Values, new: Values, changed: Collection[str]) -> list[str]:
-        """Describe what is different in the unsafe one of two scenarios, one part for each parameter."""
+        """Describe the differences of the unsafe scenario from the safe one, one part for each parameter."""
         return scenario_changes(old, new, changed)
 
     def onset_change(self, old: DetectionError, new: DetectionError) -> str:
@@ -184,7 +184,7 @@ class UrbanErrors(PerceptionErrors[DetectionError]):
         measures: Mapping[str, Mapping[str, float]],
         at_least: Mapping[str, Collection[str]],
     ) -> MeasuredSeverity | None:
-        """Return how severe an error was in a drive; None if the drive does not tell."""
+        """Return the severity of an error in a drive; None if the drive does not show it."""
         if not self.measures_errors(choices):
             return None
         kind, target = ErrorType(choices[self.first("type")]), choices[self.first("target")]

@@ -1,4 +1,4 @@
-"""The problem `urban-fitted@1`: an urban scenario with a detector that errs as a recording of it says.
+"""The problem `urban-fitted@1`: an urban scenario and a detector with errors fitted to a recording.
 
 The scenario is that of `urban-camera@1`, so that the same drives can be driven by both. The errors are those that
 `brink errors fit` wrote; they are part of the campaign. Each episode draws one replicate of the fit by its seed, so
@@ -50,7 +50,7 @@ class UrbanFittedParams(UrbanParams):
 
 
 class UrbanFitted(UrbanScenarios):
-    """Urban driving with an obstacle detector that errs as a recording of it says."""
+    """Urban driving with an obstacle detector whose errors are fitted to a recording."""
 
     id: ClassVar[str] = "urban-fitted@1"
     summary: ClassVar[str] = "Urban driving with the errors of a recorded detector: 7 parameters."
@@ -74,6 +74,6 @@ class UrbanFitted(UrbanScenarios):
         return int(generator(seed, Stream.ERRORS).integers(len(self._processes)))
 
     def behaviour(self, seed: int) -> Mapping[str, Json]:
-        """Return the process that an episode draws errors from."""
+        """Return the process from which an episode draws errors."""
         number = self.replicate(seed)
         return {"mode": MODE, "replicate": number, "process": self._processes[number]}

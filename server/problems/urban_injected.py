@@ -193,7 +193,7 @@ class UrbanInjected(SlottedBehaviour):
         )
 
     def _behaviour(self, values: Mapping[str, Any]) -> dict[str, Json]:
-        """Return what the detector reports: the injected trajectories, or the ground truth."""
+        """Return the detector's reports: the injected trajectories, or the ground truth."""
         if self.is_true:
             return {"mode": b.BehaviourMode.ORACLE.value}
         return _behaviour(values)
@@ -209,7 +209,7 @@ class UrbanInjected(SlottedBehaviour):
     def words_of_change(
         self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
     ) -> str:
-        """Describe what is different in the unsafe one of two candidates."""
+        """Describe the differences of the unsafe candidate from the safe one."""
         old, new = (self.space.decode(tuple(side.vectors)) for side in (safe, unsafe))
         verdicts = (unsafe.result or {}).get("verdicts") or {}
         times = [(verdicts.get(name) or {}).get("violated_at_s") for name in self.requirements]
@@ -236,7 +236,7 @@ class UrbanInjected(SlottedBehaviour):
         return float(min(cut_off, default=float("inf")))
 
     def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
-        """Return which parameters had a part in an episode, from when each trajectory was delivered.
+        """Return which parameters were active in an episode, from when each trajectory was delivered.
 
         A trajectory that was delivered until the end is described as it was seen: until its last step, with the box
         that it had then.
@@ -260,7 +260,7 @@ def _last_step(one: SimulatedSolution) -> float | None:
 
 
 def scenario_of(values: Mapping[str, Any]) -> dict[str, Json]:
-    """Return a decoded scenario in the form that episodes have."""
+    """Return a decoded scenario in the form that episodes use."""
     return {name: int(value) if name in _INTEGER_SCENARIO else value for name, value in values.items()}
 
 

@@ -88,7 +88,7 @@ def run_exchanges(connection: Connection, exchanges: Sequence[Exchange]) -> list
 def _store_outcomes(
     connection: Connection, exchanges: Sequence[Exchange], demands: Sequence[LeaseDemand]
 ) -> tuple[Report, Look | None]:
-    """Store all outcomes; return the report, and the queue as the demands find it if that is known already."""
+    """Store all outcomes; return the report, and the queue as the demands find it if it is known already."""
     outcomes = [outcome for exchange in exchanges for outcome in exchange.outcomes]
     if not outcomes:
         return Report(statuses=(), campaigns=()), None

@@ -162,7 +162,7 @@ class JobCount:
 
 
 def first_line(error: str) -> str:
-    """Return the first line of an error; the others are a traceback, or the output of a process."""
+    """Return the first line of an error; the rest is a traceback or the output of a process."""
     return error.strip().partition("\n")[0]
 
 

@@ -194,7 +194,7 @@ _NEXT_WORK = (
 
 
 def _locking(query: Select[*tuple[Any, ...]]) -> Statement:
-    """Return a query that locks its jobs on Postgres, except those that another coordinator is granting."""
+    """Return a query that locks its jobs on Postgres, skipping those that another coordinator is granting."""
     return Statement(query, postgres=query.with_for_update(of=JobRow, skip_locked=True))
 
 
@@ -251,7 +251,7 @@ class Grants:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Look:
-    """The queue as the demands of one commit find it.
+    """A snapshot of the queue for the demands of one commit.
 
     On Postgres, it is read in one round trip, with the jobs that will most likely be granted. SQLite reads these when
     they are needed.
@@ -276,7 +276,7 @@ class Look:
 
 
 def look_queries(demands: Sequence[LeaseDemand]) -> list[tuple[Statement, Values]]:
-    """Return the queries whose rows `found_look` takes, for Postgres."""
+    """Return the queries whose rows `found_look` takes, on Postgres."""
     first = {"capabilities": demands[0].capabilities, "enough": _enough(demands)}
     most = sum(demand.max_jobs for demand in demands)
     return [
@@ -287,7 +287,7 @@ def look_queries(demands: Sequence[LeaseDemand]) -> list[tuple[Statement, Values
 
 
 def found_look(demands: Sequence[LeaseDemand], rows: Sequence[Sequence[Any]]) -> Look:
-    """Return the look that the rows of `look_queries` show."""
+    """Return the snapshot from the rows of `look_queries`."""
     (summary,), turns, jobs = rows
     is_long = summary.jobs >= _enough(demands)
     return Look(

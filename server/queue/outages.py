@@ -1,4 +1,4 @@
-"""Notices outages: times in which no coordinator took back leases, so that no worker could renew one.
+"""Detects outages: periods in which no coordinator took back leases, so that no worker could renew one.
 
 Outages are nobody's fault. After one, every lease gets a full term before it can run out, and until its worker renews
 it, its end counts as *interrupted*, not as lost. The time of the last sweep is in the database and goes by its clock,
@@ -53,7 +53,7 @@ class Sweep:
 
 
 def begin_sweep(connection: Connection, *, lease_s: float, sweep_s: float, resuming: bool) -> Sweep | None:
-    """Note a sweep, and give leases a full term if nobody has swept for a while.
+    """Record a sweep, and give leases a full term if there was none for a while.
 
     A coordinator that resumes gives each lease one full term even if another one swept meanwhile: its workers may
     know no other. A lease that is not renewed gets no second one, so that a coordinator that keeps restarting beside
@@ -88,7 +88,7 @@ def begin_sweep(connection: Connection, *, lease_s: float, sweep_s: float, resum
 
 
 def _extend(connection: Connection, until: datetime, *, again: bool) -> int:
-    """Extend the leases that end earlier; those that are locked are just being renewed or ended."""
+    """Extend the leases that end earlier, skipping locked ones, which are just being renewed or ended."""
     short = lock_rows(_SHORT if again else _NOT_YET_EXTENDED, connection, JobRow, skip_locked=True)
     jobs = list(connection.execute(short, {"until": until}).scalars())
     if jobs:

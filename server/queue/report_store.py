@@ -1,4 +1,4 @@
-"""The SQL of reports: results stored, jobs finished, retried, or put into quarantine.
+"""The SQL of reports: results are stored, jobs finished, retried, or quarantined.
 
 Each public function is a unit for `brink.server.db.writer.Writer`. An outcome is stored and its job finished in one
 transaction, and only if the outcome names the token of the job's last lease: while that lease holds, and after it ran
@@ -133,7 +133,7 @@ class Judgement:
 
 @dataclass(frozen=True, slots=True)
 class UnjudgedResult:
-    """A result of which a transaction cannot tell whether its campaign can use it.
+    """A result whose usability a transaction cannot decide.
 
     Attributes:
         campaign: The campaign.
@@ -172,10 +172,10 @@ class Outcome:
 
 
 class ResultCheck(Protocol):
-    """Knows which results are of use to a campaign."""
+    """Decides which results a campaign can use."""
 
     def __call__(self, campaign_id: str, kind: str, result: Completed) -> Judgement | None:
-        """Return whether a campaign can use a result, in a write transaction; None if that cannot be told there.
+        """Return whether a campaign can use a result, in a write transaction; None if that cannot be decided there.
 
         Args:
             campaign_id: The campaign.
@@ -270,7 +270,7 @@ def store_outcomes(
     retry_backoff_s: float,
     check: ResultCheck | None = None,
 ) -> Report:
-    """Store the outcomes of jobs that nobody else holds; all others change nothing.
+    """Store the outcomes of jobs that nobody else holds; other outcomes change nothing.
 
     Args:
         connection: In a write transaction.
@@ -315,7 +315,7 @@ def store_outcomes(
 def _judge(
     rows: Mapping[int, JobRecord], outcomes: Sequence[Outcome], check: ResultCheck | None
 ) -> tuple[list[str], dict[int, Outcome], dict[int, UnjudgedResult]]:
-    """Return the status of each outcome, and by job the outcomes to store and those that cannot be judged here.
+    """Return the status of each outcome, and by job the outcomes to store and those that cannot be decided here.
 
     Invalid results are failures.
     """
@@ -370,7 +370,7 @@ def expire(connection: Connection, terms: LeaseTerms) -> Expiry:
 def _restore_lost(
     connection: Connection, rows: Mapping[int, JobRecord], outcomes: Sequence[Outcome], now: datetime
 ) -> dict[int, JobRecord]:
-    """Restore the lost leases whose outcomes have come after all, unless their jobs were granted to others since.
+    """Restore lost leases whose outcomes have arrived after all, unless their jobs have since been granted to others.
 
     Returns:
         The new rows of these jobs.
@@ -401,7 +401,7 @@ def _status_of(row: JobRecord | None, outcome: Outcome, reported_before: bool) -
 
 
 def _judgement(row: JobRecord, outcome: Outcome, check: ResultCheck | None) -> Judgement | None:
-    """Return whether a result is of use; None if that cannot be told in a transaction."""
+    """Return whether a result is usable; None if that cannot be decided in a transaction."""
     if check is None or outcome.completed is None:
         return Judgement()
     return outcome.judgement or check(row.campaign_id, row.kind, outcome.completed)
@@ -441,7 +441,7 @@ def _share(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Failure:
-    """What happens to a job whose attempt failed or was lost.
+    """The consequences for a job whose attempt failed or was lost.
 
     Attributes:
         row: The job.
@@ -487,7 +487,7 @@ def _interruption(row: JobRecord) -> FailedAttempt:
 def _fail(
     connection: Connection, failures: Sequence[_Failure], now: datetime, backoff_s: float
 ) -> list[FailedAttempt]:
-    """Return failed jobs to the queue after a backoff, or put them into quarantine."""
+    """Return failed jobs to the queue after a backoff, or quarantine them."""
     if not failures:
         return []
     values, failed = [], []

@@ -88,7 +88,7 @@ class _WorkerRecord:
         return self.contact_s > self.recorded_s or self.done > 0 or self.failed > 0
 
     def take_contact(self, now_s: float) -> workers.Contact:
-        """Return the last contact, which the caller records, or else puts back."""
+        """Return the last contact, which the caller records or else puts back."""
         contact = workers.Contact(
             worker=self.identity,
             capabilities=self.capabilities,
@@ -100,7 +100,7 @@ class _WorkerRecord:
         return contact
 
     def put_back(self, contact: workers.Contact) -> None:
-        """Take back that a contact was recorded, so that the next one is recorded in full."""
+        """Undo the recording of a contact, so that the next one is recorded in full."""
         self.recorded_s = -math.inf
         self.done += contact.done
         self.failed += contact.failed
@@ -123,7 +123,7 @@ class _LiveWorkers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Swept:
-    """What a sweep found and did.
+    """The results of a sweep.
 
     Attributes:
         sweep: How it began; None if another coordinator was sweeping.
@@ -284,7 +284,7 @@ class QueueService:
         return ResultsReply(statuses=statuses, lease=reply)
 
     async def _judge(self, check: ResultCheck, exchange: Exchange, report: Report) -> Report:
-        """Store the outcomes that no transaction can judge, once they are judged; return the report on all of them.
+        """Store the outcomes that no transaction can decide, once they are decided; return the report on all of them.
 
         What was stored of the others, and the leases granted, stand already.
         """
@@ -408,7 +408,7 @@ class QueueService:
             log.info("worker gone", extra=about)
 
     async def _write(self, unit: Unit[T], contacts: Iterable[workers.Contact]) -> T:
-        """Write a unit that records contacts, among other things; unless it does, put them back."""
+        """Write a unit that also records contacts; put them back if it fails."""
         try:
             return await self.writer.write(unit)
         except BaseException:
@@ -434,7 +434,7 @@ class QueueService:
     def _note_contact(
         self, worker: WorkerIdentity, capabilities: Sequence[str] | None
     ) -> tuple[workers.Contact, ...]:
-        """Remember a worker's contact; return it if it is to be recorded now, and nothing if a sweep will do that."""
+        """Remember a worker's contact; return it if it is to be recorded now, not by a sweep."""
         now = self.clock()
         if worker.id not in self._workers:
             about = {"worker": worker.id, "host": worker.host, "pid": worker.pid, "version": worker.version}

@@ -1,4 +1,4 @@
-"""Tells of new jobs and due steps: waiting requests of this process, and other coordinators on the same Postgres."""
+"""Announces new jobs and due steps to waiting requests and to other coordinators on the same Postgres."""
 
 import asyncio
 import logging

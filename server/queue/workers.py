@@ -118,7 +118,7 @@ def record_contact(connection: Connection, contact: Contact) -> None:
 
 
 def record_contacts(connection: Connection, contacts: Sequence[Contact]) -> None:
-    """Record the last contacts of any number of workers, with one statement for all that are known already.
+    """Record the last contacts of any number of workers, with one statement for all known workers.
 
     Contacts are left out if another process with the same id has made a later one.
     """
@@ -140,7 +140,7 @@ def record_contacts(connection: Connection, contacts: Sequence[Contact]) -> None
 
 
 class Process(NamedTuple):
-    """The process of a worker: another one with the same worker id differs in it."""
+    """The process of a worker, which tells apart processes with the same worker id."""
 
     pid: int
     machine: str
@@ -165,7 +165,7 @@ def read_draining(connection: Connection) -> dict[str, Process]:
 
 
 def list_workers(connection: Connection, *, within_s: float | None = None) -> list[WorkerStatus]:
-    """Return workers, the latest contact first; with `within_s`, only those that are live."""
+    """Return workers, the latest contact first; with `within_s`, only live ones."""
     now = database_now(connection)
     holding = select(JobRow.lease_worker, func.count()).where(IS_LEASED).group_by(JobRow.lease_worker)
     held = {str(row[0]): int(row[1]) for row in connection.execute(holding)}

@@ -44,7 +44,7 @@ class PortInUse(CannotListen):
 
 
 def freeze_loaded_objects() -> None:
-    """Exempt all existing objects from garbage collection; for processes that do nothing but serve.
+    """Exempt all existing objects from garbage collection, in processes that only serve.
 
     There are some 200,000 of them. Visiting them in each full collection would stall all requests for .1 s.
     """

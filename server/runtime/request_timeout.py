@@ -127,7 +127,7 @@ class TimeoutProtocol(HttpToolsProtocol):
 
 
 class ResponseTransport(asyncio.Transport):
-    """A transport as a response sees it.
+    """The transport that a response writes to.
 
     The head and the beginning of the body are sent in one write, which wakes the client once instead of twice. The
     connection ends only after the client could read the response.
@@ -149,7 +149,7 @@ class ResponseTransport(asyncio.Transport):
         self._has_begun = False
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send data. The first data waits for more, until the event loop's next iteration at the latest."""
+        """Send data; the first data waits for more, until the event loop's next iteration at the latest."""
         if not self._has_begun:
             self._has_begun = True
             self._head = data

@@ -1,4 +1,4 @@
-"""Calls a function that somebody wrote in Python, as a simulator.
+"""The simulator that calls a user's Python function.
 
 The function travels as a file, `FunctionFile`, whose path is in the environment of the workers that may run it. The
 simulator's id carries the digest of its code: results of an older version of the function are never taken for those
@@ -40,7 +40,7 @@ def simulator_of(digest: str) -> str:
 
 
 def digest_of(function: Callable[..., Any]) -> str:
-    """Return the SHA-256 of a function's code, as far as it can be seen.
+    """Return the SHA-256 of a function's code as far as it is accessible.
 
     A function of an importable module counts with the source of its module and of what belongs to it; see
     `brink.sim.sources`.
@@ -176,7 +176,7 @@ def _number(value: Any, name: str) -> float:
 
 
 def _words(error: Exception, function: Callable[..., Any], values: Mapping[str, Json]) -> str:
-    """Return what went wrong, where in the file of the function, and with which values; all in one line."""
+    """Return a one-line message: what went wrong, where in the function's file, and with which values."""
     frames = traceback.extract_tb(error.__traceback__)[1:]  # the first one is the call in this module
     code = getattr(function, "__code__", None)
     own = [frame for frame in frames if code is not None and frame.filename == code.co_filename]

@@ -1,4 +1,4 @@
-"""Records an episode of another simulator as a `Trace`, so that its replays are drawn as those of Brink's own are.
+"""Records an episode of another simulator as a `Trace`, so that replays look like those of Brink's own simulators.
 
 An adapter knows positions, not camera images: the trace has road users, what the driving system perceives, and the
 road from above. Boxes in an image are optional: those of a camera that the car might have.
@@ -26,7 +26,7 @@ from brink.sim.trace import (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pose:
-    """Where a road user is.
+    """Position and heading of a road user.
 
     Attributes:
         x_m: Centre of its body.
@@ -147,7 +147,7 @@ class TopDownRecorder:
             series.append(robustness[name])
 
     def event(self, time_s: float, kind: str, text: str) -> None:
-        """Record an event, such as a collision, with a description for people."""
+        """Record an event, such as a collision, with a readable description."""
         self._events.append(Event(time_s=time_s, kind=kind, text=text))
 
     def trace(self, about: Mapping[str, Json]) -> Trace:

@@ -93,14 +93,14 @@ class Region:
         )
 
     def intersects(self, box: Detection) -> bool:
-        """Return whether a box and the trapezoid have a point in common.
+        """Return whether a box and the trapezoid intersect.
 
         Their common rows form an interval; the trapezoid is widest at the lowest of them, so that row decides.
         """
         return bool(self.intersects_each(np.array([box[1:5]], np.float64))[0])
 
     def intersects_each(self, boxes: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Return which boxes have a point in common with the trapezoid, shape ``(n,)``.
+        """Return which boxes intersect the trapezoid, shape ``(n,)``.
 
         Args:
             boxes: x_min, y_min, x_max, y_max in px, shape ``(n, 4)``.

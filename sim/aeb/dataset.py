@@ -166,7 +166,7 @@ def _with_look(body: Body, split: Split) -> Body:
 def _person_in_free_space(
     number: int, ego: Rectangle, taken: list[Rectangle], split: Split, rng: np.random.Generator
 ) -> Body | None:
-    """Return a person who stands in nothing and nobody, or None if several draws find no such place."""
+    """Return a person who overlaps nothing, or None if several draws find no free position."""
     for _ in range(_DRAWS):
         person = _person(number, ego.x_m, split, rng)
         place = Rectangle.of(person)
@@ -176,7 +176,7 @@ def _person_in_free_space(
 
 
 def _stands_free(place: Rectangle, ego: Rectangle, taken: list[Rectangle]) -> bool:
-    """Return whether a body would stand away from the ego car and in nothing else."""
+    """Return whether a body would be clear of the ego car and of everything else."""
     near = [
         other
         for other in taken

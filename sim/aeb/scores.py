@@ -55,7 +55,7 @@ class Scores:
 
 
 def reported(found: Detections, threshold: float, width_px: int, height_px: int) -> BoolArray:
-    """Return which detections the brake receives: sure, large enough to count, and no flat vehicle; shape ``(n,)``.
+    """Return which detections reach the brake: confident, large enough, and not a flat vehicle; shape ``(n,)``.
 
     A vehicle's box touches the road with its lower edge, which says how far away it is and, with the camera's height,
     how high. Under perturbations the detector finds vehicles a few centimetres high at the lower edge of the image.

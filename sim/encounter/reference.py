@@ -271,7 +271,7 @@ class ReferenceDriving:
 
     @property
     def obstacles(self) -> tuple[PerceivedObstacle, ...]:
-        """Nobody: the driver knows the truth."""
+        """Always empty: the driver knows the ground truth."""
         return ()
 
     def _ego(self) -> EgoState:
@@ -355,5 +355,5 @@ def _blocks(sight: ObservedUser) -> bool:
 
 
 def _is_close(sight: ObservedUser, speed_mps: float) -> bool:
-    """Return whether a driver does not accelerate behind a road user."""
+    """Return whether a road user ahead is so close that the driver does not accelerate."""
     return sight.aside_m < SIDE_M and -sight.length_m < sight.gap_m < STANDSTILL_M + HEADWAY_S * speed_mps

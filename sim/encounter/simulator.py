@@ -196,7 +196,7 @@ class BrinkEncounter:
     def _compared(
         self, spec: EpisodeSpec, scenario: EncounterScenario, drive: _Drive, *, record: bool
     ) -> EpisodeResult:
-        """Drive again with the reference drivers; return the result: each violation says who avoids it, and how.
+        """Repeat the drive with the reference drivers, and record in each violation who avoids it and how.
 
         The trace includes the drive of the first driver who avoids any of them, or else that of the careful one.
 

@@ -48,7 +48,7 @@ def bearing_rad(ego: Rectangle, other: Rectangle) -> float:
 
 
 class _Moment(NamedTuple):
-    """What is needed to state the circumstances of a control step later on.
+    """The state needed to describe the circumstances of a control step later.
 
     Attributes:
         sample: The facts about the ego.

@@ -117,7 +117,7 @@ class GuardAccount:
     _intervenes: bool = False
 
     def note(self, time_s: float, *, alarm: bool, intervenes: bool) -> None:
-        """Note a control step."""
+        """Record a control step."""
         if alarm:
             self.alarm_steps += 1
             if not self._alarm:

@@ -29,7 +29,7 @@ class RangeScan(NamedTuple):
 
 
 class KnownConditions(NamedTuple):
-    """What a car knows of time of day and weather: shares in [0, 1], or -1 if unknown.
+    """What a car knows about the time of day and the weather: fractions in [0, 1], or -1 if unknown.
 
     Attributes:
         rain: How hard it rains.

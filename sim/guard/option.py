@@ -238,7 +238,7 @@ def _checked_digest(where: str, guard: str, digest: Json) -> str:
 
 
 def _maker(guard: str, digest: str = "") -> MakeGuard:
-    """Return what makes a guard.
+    """Return the factory of a guard.
 
     Raises:
         InvalidEpisode: The guard is unknown.
@@ -257,7 +257,7 @@ def _maker(guard: str, digest: str = "") -> MakeGuard:
 
 @lru_cache(maxsize=4)
 def _from_file(file: Path, _digest: str) -> MakeGuard:
-    """Return what makes the guard in a file; read once while its content does not change."""
+    """Return the factory of the guard in a file, which is read again only when its content changes."""
     return cast(Callable[[Path], MakeGuard], load_plugin(GUARD_FILES, FITTED))(file)
 
 

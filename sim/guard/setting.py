@@ -16,7 +16,7 @@ class Settings(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoSettings:
-    """The settings of what has none."""
+    """Settings of a plug-in that has none."""
 
 
 _Settings = TypeVar("_Settings", bound=Settings)

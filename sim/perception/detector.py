@@ -90,7 +90,7 @@ class Detector(Protocol):
 
 
 class CheckedDetector:
-    """Checks everything that a detector returns, whatever its kind, so that a broken one never reads as a blind one.
+    """Checks everything that a detector returns, so that a broken detector is not mistaken for one that sees nothing.
 
     Args:
         detector: The detector.
@@ -134,7 +134,7 @@ class CheckedDetector:
 
 
 def _check_scores(source: str, scores: NDArray[Any]) -> None:
-    """Check that scores are from 0 to 1.
+    """Check that scores lie in [0, 1].
 
     Raises:
         InvalidDetections: They are not, as those of a network that returns logits.
@@ -147,7 +147,7 @@ def _check_scores(source: str, scores: NDArray[Any]) -> None:
 
 
 def _check_finite(source: str, boxes: NDArray[Any], scores: NDArray[Any]) -> None:
-    """Check that boxes and scores are numbers.
+    """Check that boxes and scores are finite.
 
     Networks' detectors call it before they select by score, because NaN is not above any threshold and would be
     dropped, and before they clip boxes to the image, because infinity would become its edge.
@@ -486,7 +486,7 @@ def _some(names: Iterable[str]) -> str:
 
 
 def _one_line(error: Exception) -> str:
-    """Return the first line of an error that says something."""
+    """Return the last non-empty line of an error's message, or the error's type."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return (lines[-1] if lines else type(error).__name__)[:200]
 
@@ -674,7 +674,7 @@ def _import(module: str, kind: str, requirement: str) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Description:
-    """What a user says of a network.
+    """A user's description of a network.
 
     Attributes:
         names: Class names by index; empty if not stated.
@@ -686,7 +686,7 @@ class _Description:
 
 
 def _read_description(file: Path) -> _Description:
-    """Return what the JSON file next to the weights says; nothing if there is no such file.
+    """Return the description in the JSON file beside the weights; an empty one if there is no such file.
 
     Raises:
         DetectorError: The file is invalid or has no known class.

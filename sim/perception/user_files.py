@@ -379,7 +379,7 @@ def sample_evenly(pictures: Sequence[CocoPicture], count: int) -> list[CocoPictu
 
 
 def check_sample(data: CocoDataset, count: int, labels: Collection[int] | None) -> None:
-    """Check that a detector can be measured on the images that are used of a data set.
+    """Check that a detector can be evaluated on the images selected from a data set.
 
     Args:
         data: The data set.

@@ -67,7 +67,7 @@ GAIN_STEPS = 45
 
 
 def darken_complement(complement: Frame, factor: float) -> Frame:
-    """Multiply the lightness of a smooth frame by a factor below 1, without a way over HLS.
+    """Multiply the lightness of a smooth frame by a factor below 1, without converting to HLS.
 
     With hue and saturation fixed, the complement y of a channel becomes ``a y + c``, where a and c only depend on the
     pixel's lightness. They vary smoothly, so they are looked up at a quarter of the resolution. Saturated colours

@@ -80,7 +80,7 @@ def rain(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
 
 @lru_cache(maxsize=2)
 def _drop_light(shape: tuple[int, ...]) -> Frame:
-    """Return a frame of the complement of the drops' grey."""
+    """Return a uniform frame of 255 minus the drops' grey."""
     return np.full(shape, 255 - DROP_GREY, dtype=np.uint8)
 
 

@@ -167,7 +167,7 @@ def shrink_facade(
 
 
 def plain_colour(look: int, night: bool) -> Rgb:
-    """Return about the mean colour of a facade, for walls too small to show more, without drawing it."""
+    """Return the approximate mean colour of a facade, for walls too small to show more, without drawing it."""
     shade = _SHADES[choose(look, 50, 3)]
     red, green, blue = _WALLS[choose(look, 41, len(_WALLS))]
     if night:
@@ -176,7 +176,7 @@ def plain_colour(look: int, night: bool) -> Rgb:
 
 
 def _cropped(tile: Picture, rng: np.random.Generator, high: int, wide: int) -> Picture:
-    """Return a part of a repeating tile that begins at a random place."""
+    """Return a crop of a repeating tile at a random position."""
     side = tile.shape[0]
     out = np.empty((high, wide, *tile.shape[2:]), np.uint8)
     first_row, first_column = rng.integers(0, side, 2).tolist()
@@ -201,7 +201,7 @@ def _stains() -> Picture:
 
 @lru_cache(maxsize=48)
 def _wall_tile(style: int, shade: int) -> Picture:
-    """Return a bare wall that repeats, shape ``(side, side, 3)``."""
+    """Return a repeating tile of bare wall, shape ``(side, side, 3)``."""
     rng = np.random.default_rng((_FACADE_STREAM, 2, style, shade))
     side = _WALL_TILE_PX
     colour = np.empty((side, side, 3), np.float32)
@@ -216,7 +216,7 @@ def _wall_tile(style: int, shade: int) -> Picture:
 
 @lru_cache(maxsize=1)
 def _plaster() -> Noise:
-    """Return the brightness of rough plaster, which repeats, shape ``(side, side, 1)``."""
+    """Return the brightness of a repeating tile of rough plaster, shape ``(side, side, 1)``."""
     rng = np.random.default_rng((_FACADE_STREAM, 4))
     shape = (_WALL_TILE_PX, _WALL_TILE_PX)
     light = 1.0 + 0.022 * rng.standard_normal(shape, dtype=np.float32)

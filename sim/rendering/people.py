@@ -153,7 +153,7 @@ class _Paint:
         return result
 
     def nearness(self, owner: IntArray, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return how far parts are moved towards the camera, in shares of the body height."""
+        """Return how far parts are moved towards the camera, as fractions of the body height."""
         near: FloatArray = x * np.cos(self.facing[owner]) + y * np.sin(self.facing[owner])
         return near
 
@@ -232,7 +232,7 @@ def _add_stacks(
 
 
 def _between(pixels: FloatArray, wide: FloatArray, first: FloatArray, last: FloatArray) -> IntArray:
-    """Return the part of stacks between two shares of their half width, shape ``(n, 2 * rings, 2)``."""
+    """Return the part of stacks between two fractions of their half width, shape ``(n, 2 * rings, 2)``."""
     points = np.concatenate((pixels, pixels[:, ::-1]), axis=1)
     points[:, :_RINGS, 0] += first[:, None] * wide
     points[:, _RINGS:, 0] += last[:, None] * wide[:, ::-1]
@@ -240,7 +240,7 @@ def _between(pixels: FloatArray, wide: FloatArray, first: FloatArray, last: Floa
 
 
 def _apparent(across: FloatArray, along: FloatArray, facing: FloatArray) -> FloatArray:
-    """Return the radii of ellipses as seen from the camera."""
+    """Return the apparent radii of ellipses as seen from the camera."""
     front, profile = np.cos(facing)[:, None] ** 2, np.sin(facing)[:, None] ** 2
     radius: FloatArray = np.sqrt(front * across**2 + profile * along**2)
     return radius
@@ -284,7 +284,7 @@ class _Outfit:
 
 @lru_cache(maxsize=2048)
 def _outfit(look: int, height_m: float) -> _Outfit:
-    """Return the outfit of a person; height_m is rounded, since it only tells children."""
+    """Return the outfit of a person; height_m is rounded, since it only distinguishes children."""
     child = min(max((1.55 - height_m) / 0.5, 0.0), 1.0)
     broad = 0.90 + 0.26 * choose_fraction(look, 11) + 0.06 * child
     style = choose(look, 13, 16)

@@ -173,7 +173,7 @@ def _parked(fixture: Fixture, number: int, look: int, yaw_rad: float) -> Body:
 
 
 def _turn_rad(road: Road, fixture: Fixture) -> float:
-    """Return what turns a parked vehicle in the direction of its side's traffic."""
+    """Return the angle that turns a parked vehicle in the direction of traffic on its side."""
     nearest_m = min(
         np.arange(0.0, road.length_m + _STEP_M, _STEP_M).tolist(),
         key=lambda station_m: math.dist(road.centre.pose_at(station_m)[:2], (fixture.x_m, fixture.y_m)),

@@ -134,7 +134,7 @@ class BrinkDriveCamera(BrinkDrive):
 
 
 class InTheLoop:
-    """A detector on rendered images, and how wrong it is.
+    """A detector on rendered images, with its measured errors.
 
     Attributes:
         meter: Has the comparison of each image with the truth; None before the start.
@@ -146,7 +146,7 @@ class InTheLoop:
         self.meter: ErrorMeter | None = None
 
     def start(self, world: World, camera: Camera) -> Detects:
-        """Return what detects, for a new world."""
+        """Return the detector for a new world."""
         spec = self._spec
         light = Light(
             time_of_day=TimeOfDay(str(spec.scenario["time_of_day"])),

@@ -187,7 +187,7 @@ class DetectionError:
     duration_s: float = math.inf
 
     def to_json(self) -> JsonObject:
-        """Return the error as a JSON object, with the fields that its type has."""
+        """Return the error as a JSON object, with the fields of its type."""
         scale = MAGNITUDES[self.type]
         document: JsonObject = {
             "type": self.type.value,
@@ -242,7 +242,7 @@ class DetectionError:
 
     @property
     def severity(self) -> float:
-        """How gross the error is, 0 without effect."""
+        """The severity of the error; 0 has no effect."""
         return MAGNITUDES[self.type].severity(self.magnitude)
 
     @property
@@ -253,7 +253,7 @@ class DetectionError:
         return f"{words} {self.onset_words}" if scale.has_window else words
 
     def words_with(self, magnitude: str) -> str:
-        """Return what is wrong in words, with the magnitude as given and without the onset."""
+        """Describe the error with the given magnitude and without the onset."""
         return words_of_error(self.type, self.target, magnitude)
 
     @property
@@ -340,7 +340,7 @@ def activity_of_error(kind: ErrorType, target: Target | None, magnitude: str) ->
 
 
 def _whose(kind: ErrorType, target: Target) -> str | None:
-    """Return the single road user or the ghost that an error concerns; None if it is all of a kind."""
+    """Return the single road user or the ghost that an error affects; None if it affects a whole kind."""
     if kind in GHOSTS:
         return _GHOST[target]
     return _SINGLE.get(target) if MAGNITUDES[kind].has_window else None

@@ -72,7 +72,7 @@ class ErroneousDetector:
 
 
 class Observer:
-    """Observes what a perfect detector would see, and who is who. Create a new one for each episode.
+    """Observes what a perfect detector would see, and identifies the road users. Create a new one for each episode.
 
     Args:
         world: The world of the episode.
@@ -131,7 +131,7 @@ def _crosses(walker: object) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """What there is to see at a perception step.
+    """What is visible at a perception step.
 
     Attributes:
         time_s: Simulated time.
@@ -174,7 +174,7 @@ class Scene:
         return Target.ONCOMING if cosine <= -_COS_45 else Target.CROSSING
 
     def group(self, target: Target) -> set[int]:
-        """Return the numbers of all visible bodies of a kind; of the lead's kind are those that go the ego's way."""
+        """Return the numbers of all visible bodies of a kind; for the lead's kind, vehicles going the ego's way."""
         found = set()
         for sight in self.sights:
             body = self.bodies[sight.body]
@@ -183,7 +183,7 @@ class Scene:
         return found
 
     def true_boxes(self) -> list[TrueBox]:
-        """Return the boxes of all visible bodies, nearest first, with what they are to the ego."""
+        """Return the boxes of all visible bodies, nearest first, each with its relation to the ego."""
         targets = {self.lead(), self.pedestrian()}
         return [
             TrueBox(sight.body, sight.box, self.kind(self.bodies[sight.body]), sight.body in targets)
@@ -224,7 +224,7 @@ class _ActiveError:
         self._ghost_boxes: list[Box] = []
 
     def apply(self, scene: Scene, boxes: list[tuple[int, Box]]) -> tuple[bool, list[tuple[int, Box]]]:
-        """Return whether the error changes anything, and the boxes with it, each with the number of its body."""
+        """Return whether the error changes anything, and the resulting boxes, each with the number of its body."""
         if not self._has_effect:
             return False, boxes
         error = self._error
@@ -395,7 +395,7 @@ def clipped(camera: Camera, box: Box) -> Box | None:
 
 
 def ghost_bodies(scene: Scene, target: Target, ahead_m: float) -> list[Solid]:
-    """Return what a ghost pretends to be: bodies that stand on the ego's route, that far ahead of its centre."""
+    """Return the bodies that a ghost imitates, which stand on the ego's route that far ahead of its centre."""
     route = scene.world.route
     at_m = scene.station_m + ahead_m
     ghosts = []

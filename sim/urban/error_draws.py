@@ -1,4 +1,4 @@
-"""Draws the errors of a process for one road user, and says which state and bin the process is in.
+"""Draws the errors of a process for one road user, and tracks the state and bin of the process.
 
 Draws are addressed by the episode's seed, the road user and the perception step, so that they depend on nothing that
 happened before. This module has no heavy imports: a fit uses the same states and bins.
@@ -59,7 +59,7 @@ def group_of(label: ObstacleLabel, *, is_target: bool) -> int:
 
 
 class Drawn(NamedTuple):
-    """How a road user is reported: whether with the wrong label, and `ERRORS`."""
+    """How a road user is reported: whether its label is wrong, and its `ERRORS`."""
 
     is_wrong: bool
     far: float

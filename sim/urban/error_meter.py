@@ -159,7 +159,7 @@ class DriveErrors:
     spans: dict[Target, dict[ErrorType, Span]] = field(default_factory=dict)
 
     def note(self, target: Target, kind: ErrorType, span: Span, *, at_least: bool = False) -> None:
-        """Note an error with a time, the worst of its type."""
+        """Record an error of a type and the time at which it occurred."""
         self.magnitudes.setdefault(target, {})[kind] = span.duration_s
         if span.duration_s > 0.0:
             self.spans.setdefault(target, {})[kind] = span
@@ -304,12 +304,12 @@ class ErrorMeter:
         return self._camera.far_m if depth_m is None else min(depth_m, self._camera.far_m)
 
     def errors(self) -> DriveErrors:
-        """Return how wrong the detector was."""
+        """Return the detector's errors."""
         return _Judge(self.samples, self.ghosts, self._step_s, is_excerpt=self._is_excerpt).errors()
 
 
 class _Judge:
-    """Finds the worst errors of a drive whose images were compared."""
+    """Finds the worst errors of a drive from its compared images."""
 
     def __init__(
         self,
@@ -365,7 +365,7 @@ class _Judge:
         return found
 
     def _runs(self, samples: Sequence[Sample]) -> list[_Run]:
-        """Return the times in which there are samples, with the images of short interruptions.
+        """Return the time spans with samples, including the images of short interruptions.
 
         Who stops being the target for a moment, hides for a moment, or hands over to another does not end a run. In
         an interruption, those who were the target just before are watched.
@@ -398,7 +398,7 @@ class _Judge:
         looks: Sequence[_Look],
         is_wrong: Callable[[_Look], bool],
     ) -> None:
-        """Note the longest time for which images on end are wrong."""
+        """Record the longest time for which consecutive images are wrong."""
         span, until_s = self._longest(
             (
                 look.time_s,
@@ -435,7 +435,7 @@ class _Judge:
         return worst, until_s
 
     def _note_delay(self, found: DriveErrors, target: Target, tracks: Iterable[int]) -> None:
-        """Note the longest visible time before the first detection, of road users that become a target."""
+        """Record the longest time that a new target was visible before its first detection."""
         worst, is_bound, tells = Span(0.0, 0.0), False, False
         lives: dict[int, list[Sample]] = {track: [] for track in sorted(tracks)}
         for sample in self._samples:  # whatever it was to the ego before
@@ -464,7 +464,7 @@ def measures_to_json(meter: ErrorMeter) -> dict[str, Json]:
 
 
 def _note_means(magnitudes: dict[ErrorType, float], runs: Sequence[_Run]) -> None:
-    """Note the worst means over the time for which the target is there; none where it never is for long enough."""
+    """Record the worst means over spans with the target present; none if it is never present for long enough."""
 
     def note(kind: ErrorType, value: float) -> None:
         magnitudes[kind] = max(magnitudes.get(kind, 0.0), value)
@@ -491,7 +491,7 @@ def _note_means(magnitudes: dict[ErrorType, float], runs: Sequence[_Run]) -> Non
 
 
 def _note_range(found: DriveErrors, target: Target, samples: Sequence[Sample]) -> None:
-    """Note the distance from which on fewer than half of the sightings are detections.
+    """Record the distance beyond which fewer than half of the sightings are detected.
 
     Distances count in bins of `_BIN_M`, from the farthest that has a sighting. If most sightings there are
     detections, the range is taken to end where nobody was looked at any more, and is not known at all below
@@ -520,7 +520,7 @@ def _area(box: Box) -> float:
 
 
 def _shared(one: Box, other: Box) -> float:
-    """Return the area that two boxes share."""
+    """Return the area of the intersection of two boxes."""
     wide = min(one.x_max_px, other.x_max_px) - max(one.x_min_px, other.x_min_px)
     high = min(one.y_max_px, other.y_max_px) - max(one.y_min_px, other.y_min_px)
     return max(wide, 0.0) * max(high, 0.0)

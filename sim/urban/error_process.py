@@ -97,7 +97,7 @@ class ErrorProcess:
         )
 
     def mean_miss_s(self) -> FloatArray:
-        """Return how long a road user that is lost is not reported, on average, by group and bin, shape ``(3, 6)``.
+        """Return the mean time for which a lost road user goes unreported, by group and bin, shape ``(3, 6)``.
 
         Infinite where one that is lost is never found again at the same distance.
         """
@@ -146,7 +146,7 @@ class ErrorProcess:
         return cls(shares=shares, errors=errors, kept=kept, ghosts=ghosts).checked(where)
 
     def checked(self, where: str) -> Self:
-        """Return this process if all its numbers can be.
+        """Return this process after checking that all its numbers are valid.
 
         Raises:
             InvalidEpisode: One is out of range, or quantiles do not ascend.
@@ -177,7 +177,7 @@ def rounded(value: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FittedErrors:
-    """What a fit says of a detector: the content of `errors.yaml`.
+    """The fitted errors of a detector: the content of `errors.yaml`.
 
     Attributes:
         detector: Name of the detector.
@@ -208,7 +208,7 @@ class FittedErrors:
         ]
 
     def to_document(self) -> JsonObject:
-        """Return the document, in which people can read every number and what it rests on."""
+        """Return the document, which lists every number and the data behind it in readable form."""
         process = self.process
         ghosts: JsonObject = {}
         for i, label in enumerate(LABELS):

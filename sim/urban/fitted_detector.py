@@ -1,4 +1,4 @@
-"""The obstacle detector that errs as a fitted process says, and the simulator `brink-drive-fitted@1` with it.
+"""The obstacle detector with errors from a fitted process, and its simulator, `brink-drive-fitted@1`.
 
 What the detector did is measured as with a camera, in the terms of `detection_errors`.
 """
@@ -31,7 +31,7 @@ _GHOSTS_FROM_M: Final = 5.0
 
 
 class FittedDetector:
-    """Reports road users as a fitted process says. Create a new one for each episode.
+    """Reports road users with errors from a fitted process. Create a new one for each episode.
 
     Args:
         world: The world of the episode.
@@ -90,7 +90,7 @@ class FittedDetector:
 def with_errors(
     camera: Camera, box: Box, depth_m: float, far: float, right_m: float, size: float
 ) -> Box | None:
-    """Return a box with errors of place and size, the ones that `ErrorMeter` measures; None if hardly any is left.
+    """Return a box with the errors of position and size that `ErrorMeter` measures; None if hardly any of it is left.
 
     Args:
         camera: The camera.
@@ -145,7 +145,7 @@ class _Ghosts:
 
 
 class BrinkDriveFitted(BrinkDrive):
-    """Runs urban episodes in which the obstacle detector errs as a fitted process says."""
+    """Runs urban episodes in which the obstacle detector's errors come from a fitted process."""
 
     id = SIMULATOR_ID
 
@@ -154,7 +154,7 @@ class BrinkDriveFitted(BrinkDrive):
 
 
 class _Fitted:
-    """A detector that errs as a fitted process says."""
+    """A detector with errors from a fitted process."""
 
     def __init__(self, spec: EpisodeSpec) -> None:
         self.behaviour = DetectorBehaviour(mode=BehaviourMode.ORACLE)

@@ -130,7 +130,7 @@ def sector_distances(starts: FloatArray, ends: FloatArray) -> FloatArray:
 
 
 def in_view(ahead_m: float, left_m: float, turn_rad: float, length_m: float, width_m: float) -> bool:
-    """Return whether a footprint is within the range and the sectors of a range sensor, whatever is in between.
+    """Return whether a footprint is within the range and the sectors of a range sensor, ignoring occlusion.
 
     Args:
         ahead_m: Its centre ahead of the sensor.
@@ -145,7 +145,7 @@ def in_view(ahead_m: float, left_m: float, turn_rad: float, length_m: float, wid
 
 
 def known_conditions(scenario: UrbanScenario) -> KnownConditions:
-    """Return what a car knows of the conditions of a scenario."""
+    """Return what a car knows about the conditions of a scenario."""
     return KnownConditions(*rain_wet_dark(scenario.time_of_day, scenario.weather))
 
 

@@ -203,7 +203,7 @@ class Recorder:
         )
 
     def _guard_track(self, guarded: Guarded) -> GuardTrack:
-        """Return what the guard of an episode said at each sample."""
+        """Return the guard's reading at each sample."""
         horizons_s = guarded.horizons_s
         rows = [probabilities for probabilities, _, _ in self._readings]
         return GuardTrack(

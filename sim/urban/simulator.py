@@ -150,7 +150,7 @@ class UrbanDetector(Protocol):
     behaviour: DetectorBehaviour
 
     def start(self, world: World, camera: Camera) -> Detects | None:
-        """Return what detects in place of `behaviour`, for a new world."""
+        """Return the detector that replaces `behaviour`, for a new world."""
         ...
 
     def features(self, outcome: Outcome) -> dict[str, Json]:

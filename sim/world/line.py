@@ -89,7 +89,7 @@ class ReferenceLine:
         return self._rows[bisect_right(self._inner_starts, station_m)][5]
 
     def station_after(self, station_m: float, offset_m: float, distance_m: float) -> float:
-        """Return the station reached from another one by a way beside the line, which is longer outside a bend.
+        """Return the station reached after a distance beside the line, which is longer outside a bend.
 
         Args:
             station_m: Station at the start.

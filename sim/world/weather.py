@@ -85,6 +85,6 @@ def conditions(time_of_day: TimeOfDay, weather: Weather) -> Conditions:
 
 
 def rain_wet_dark(time_of_day: TimeOfDay, weather: Weather) -> tuple[float, float, float]:
-    """Return how hard it rains, how wet the road is and how dark it is, as shares: what anybody can tell."""
+    """Return how hard it rains, how wet the road is and how dark it is, as fractions that any observer could tell."""
     sky = _SKIES[weather]
     return sky.rain, sky.wet, min(_DARKNESS[time_of_day] + 0.1 * sky.overcast, 1.0)

@@ -175,7 +175,7 @@ def _add_results(
 def _objects(
     path: Path, document: Mapping[str, Any], name: str, fields: Sequence[str]
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield where each object of a list stands, and the object."""
+    """Yield the position of each object of a list, and the object."""
     items = document.get(name)
     if not isinstance(items, list):
         raise RecordingError(f"{path}: {name}: expected a list, got {items!r:.80}")

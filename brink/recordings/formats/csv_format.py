@@ -177,7 +177,7 @@ def _optional(where: str, row: _Row, name: str) -> float | None:
 
 
 def _set_lanes(drive: RecordedDrive) -> None:
-    """Say of road users without a lane that they are in none of those that are named."""
+    """Record that road users without a lane are in none of the named ones."""
     for image in drive.images.values():
         image.road_users = [
             replace(one, in_lane=False) if one.in_lane is None else one for one in image.road_users

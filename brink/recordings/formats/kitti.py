@@ -47,7 +47,7 @@ _ABSENT: Final = -999.0
 
 
 class _Place(NamedTuple):
-    """Where a road user is: the depth of its nearest point, its middle to the left, and its heading."""
+    """Position of a road user: the depth of its nearest point, its lateral position, and its heading."""
 
     distance_m: float
     left_m: float
@@ -216,7 +216,7 @@ def _frame(where: str, text: str) -> int:
 
 
 def _place(where: str, fields: Sequence[str]) -> _Place | None:
-    """Return where a road user is; None if the row does not say it.
+    """Return the position of a road user; None if the row does not contain it.
 
     Args:
         where: Where the row stands, for messages.
@@ -269,7 +269,7 @@ def _calibration(name: str, labels: Path) -> CameraModel:
 
 
 def _frame_count(name: str, labels: Path) -> int:
-    """Return how many images a sequence has; 0 if its files do not say it."""
+    """Return the number of images of a sequence; 0 if its files do not contain it."""
     folder = labels.parent
     for near, file_name in itertools.product((folder, folder.parent, folder.parent.parent), _SEQUENCE_LISTS):
         if (near / file_name).is_file():

@@ -52,7 +52,7 @@ _PLACE_COLUMNS: Final = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _SequenceInfo:
-    """What is known of the images of a sequence; None where nothing is said."""
+    """Facts about the images of a sequence; None if unknown."""
 
     frames_per_s: float | None = None
     size_px: tuple[float, float] | None = None
@@ -210,7 +210,7 @@ def _class_name(where: str, fields: Sequence[str]) -> str:
 
 
 def _sequence_info(path: Path) -> _SequenceInfo:
-    """Return what `seqinfo.ini` says.
+    """Return the content of `seqinfo.ini`.
 
     Raises:
         RecordingError: It cannot be used.

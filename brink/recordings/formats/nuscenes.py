@@ -144,7 +144,7 @@ def _results(path: Path) -> dict[str, list[_Row]]:
 
 
 def _rows(folder: Path, name: str) -> Iterator[tuple[str, _Row]]:
-    """Yield where each row of a table stands, and the row.
+    """Yield the position of each row of a table, and the row.
 
     Raises:
         RecordingError: The table cannot be read, is too large, or is no JSON array of objects.
@@ -318,7 +318,7 @@ def _visible_share(where: str, row: _Row) -> float | None:
 
 
 def _class_of(category: str, options: ReadOptions) -> str:
-    """Return the class of a category: the category itself if the user said what it means."""
+    """Return the class of a category; the category itself if the user mapped it."""
     while category.lower() not in options.classes and category not in _DETECTION_CLASSES and "." in category:
         category = category.rpartition(".")[0]
     return category if category.lower() in options.classes else _DETECTION_CLASSES.get(category, category)

@@ -312,7 +312,7 @@ def _rotated(rows: _Rows, x: float, y: float, z: float) -> tuple[float, float]:
 def _images(
     frames: Sequence[_Frame], reports: Sequence[_Report], builder: RecordingBuilder
 ) -> Iterator[tuple[_Frame, _Report | None]]:
-    """Yield the images of a drive: the truth, and what was reported of it; None if nothing was sent.
+    """Yield the images of a drive: the truth, and the report about it; None if nothing was sent.
 
     Raises:
         RecordingError: A report is of a time without truth.

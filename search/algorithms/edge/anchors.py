@@ -1,4 +1,4 @@
-"""Which solutions that the search has not simulated promise partners."""
+"""The choice of unsimulated solutions that are likely to have partners."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -44,7 +44,7 @@ class _Proposals:
 
 
 def plan_anchors(state: EdgeState, plan: Plan, count: int) -> None:
-    """Plan to simulate solutions that promise partners, where the search has no anchors of its own.
+    """Plan to simulate solutions likely to have partners, where the search has no anchors of its own.
 
     Args:
         state: The state; its surrogate is up to date.

@@ -98,7 +98,7 @@ class _Lesson:
         self.brackets[of] = replace(bracket, failures=failures, status=status)
 
     def take_probe(self, number: int, of: int, *, unsafe: bool) -> None:
-        """Let a probe take the place of the side whose verdict it shares."""
+        """Let a probe replace the side with the same verdict."""
         bracket = self.brackets[of]
         if bracket.status is Status.OPEN:
             narrower = replace(bracket, unsafe=number) if unsafe else replace(bracket, safe=number)

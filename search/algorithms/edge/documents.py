@@ -1,4 +1,4 @@
-"""How the state of `edge@1` is stored, and what a stored one must fulfil."""
+"""Storage of the state of `edge@1`, and validation of stored states."""
 
 from collections.abc import Set
 from typing import Any

@@ -1,4 +1,4 @@
-"""Which partners of simulated solutions promise to have the opposite verdict."""
+"""The choice of the partners most likely to have the opposite verdict to simulated solutions."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -45,7 +45,7 @@ _MOST_KEPT: Final = 2_000
 
 
 def _with_surrogate(state: EdgeState) -> EdgeState:
-    """Return the state with a surrogate that has learnt from nearly all solutions; it learns anew with 10% more."""
+    """Return the state with an up-to-date surrogate, which is refitted whenever there are 10% more solutions."""
     archive, known = state.ledger.archive, state.ledger.known
     size = _learning_size(len(known) + len(archive))
     rows = np.concatenate([known.rows, archive.vectors])[:size]
@@ -58,7 +58,7 @@ def _with_surrogate(state: EdgeState) -> EdgeState:
 
 
 def _with_chance(state: EdgeState) -> EdgeState:
-    """Return the state with an estimate of where pairs are chancy, from those that were checked."""
+    """Return the state with an estimate, from checked pairs, of where pairs depend on chance."""
     size = _learning_size(len(state.resolved))
     if size < FEW or (state.chance is not None and state.chance.size == size):
         return state

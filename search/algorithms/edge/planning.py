@@ -1,4 +1,4 @@
-"""Which candidates the next generation of `edge@1` has: checks, probes, partners, anchors, and random draws."""
+"""The candidates of the next generation of `edge@1`: checks, probes, partners, anchors, and random draws."""
 
 import math
 from dataclasses import replace
@@ -91,12 +91,12 @@ def _random_rows(ledger: Ledger, count: int, rng: np.random.Generator) -> list[F
 
 
 def _busy(state: EdgeState, *purposes: Purpose) -> set[tuple[int, int]]:
-    """Return what the candidates in flight with one of the purposes are for, with the side."""
+    """Return the subjects and sides of the candidates in flight that have one of the purposes."""
     return {(of, side) for purpose, of, side in state.jobs if purpose in purposes}
 
 
 def _plan_checks(state: EdgeState, plan: Plan) -> None:
-    """Plan the checks of tight pairs, of those that need fewest first.
+    """Plan the checks of tight pairs, those that need fewest first.
 
     The unsafe side is checked before the safe one, because it fails more often.
     """

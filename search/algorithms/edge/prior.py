@@ -1,4 +1,4 @@
-"""What the known results say with which a search for pairs starts."""
+"""What a search for pairs learns from the results that it starts with."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -16,7 +16,7 @@ FEW: Final = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prior:
-    """What the known results say.
+    """What a search learns from known results.
 
     Attributes:
         rows: Possible anchors: solutions whose known results agree, shape ``(n, d)``.
@@ -34,7 +34,7 @@ class Prior:
 
     @classmethod
     def of(cls, known: Known, steps: Steps, eps: float) -> "Prior | None":
-        """Return what known results say; None if there are none.
+        """Return what a search learns from known results; None if there are none.
 
         Args:
             known: The known results.
@@ -74,7 +74,7 @@ def _tight_sides(known: Known, steps: Steps, eps: float) -> tuple[FloatArray, Fl
 
 
 def least_clear(archive: Archive, known: Known, margin: float) -> tuple[float, float]:
-    """Return the least size of robustness at which a safe, and an unsafe solution is not too close to call."""
+    """Return the least absolute robustness at which a safe and an unsafe solution are not too close to call."""
     size = np.abs(np.concatenate([archive.robustness, known.robustness]))
     unsafe = np.concatenate([archive.unsafe, known.unsafe])
 

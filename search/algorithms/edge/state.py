@@ -41,7 +41,7 @@ class Purpose(IntEnum):
 
 
 class Status(IntEnum):
-    """How far a bracket is. The numbers are stored."""
+    """Progress of a bracket. The numbers are stored."""
 
     OPEN = 0
     """Not tight yet."""
@@ -183,7 +183,7 @@ def varied_columns(space: SearchSpace, config: EdgeConfig) -> BoolArray:
 
 
 class Solutions:
-    """What is known of the simulated solutions, by their numbers."""
+    """The simulated solutions, by number."""
 
     def __init__(self, archive: Archive) -> None:
         self._archive = archive

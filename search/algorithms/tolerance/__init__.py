@@ -1,4 +1,4 @@
-"""`tolerance@1`: how gross an error may be before it makes a given share of drives violate.
+"""`tolerance@1`: how severe an error may be before it makes a given share of drives violate the requirement.
 
 The search space has a parameter for the *severity* of an error, and others, such as its type and target, whose
 choices are the *cells*. In each cell and under each *condition* the search estimates a curve, the share of violations

@@ -1,4 +1,4 @@
-"""What the simulations of a search for tolerances say: drives and caused violations by cell and severity."""
+"""Counts from the simulations of a search for tolerances: drives and caused violations by cell and severity."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from brink.search.space import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tally:
-    """What the simulations of a search say.
+    """Counts from the simulations of a search.
 
     Attributes:
         counts: Drives with an error and violations caused by it, by cell and level; of screened cells, those of

@@ -53,7 +53,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Group:
-    """Cells whose drives are screened with the same grossest error.
+    """Cells whose drives are screened with the same most severe error.
 
     Attributes:
         choices: The choices of the grossest error.
@@ -254,7 +254,7 @@ class Layout:
         )
 
     def is_grossest(self, cell: Cell) -> bool:
-        """Return whether a cell is that of the error with which its drives are screened."""
+        """Return whether a cell's error is the one with which its drives are screened."""
         return cell.group is not None and cell.choices == self.groups[cell.group].choices
 
     def row(
@@ -318,7 +318,7 @@ class Layout:
         return None
 
     def cells_of(self, rows: FloatArray) -> IntArray:
-        """Return the place of each row's cell, shape ``(n,)``; -1 for a drive without an error or of no cell."""
+        """Return the index of each row's cell, shape ``(n,)``; -1 for a drive without an error or without a cell."""
         return self._places(rows, self._codes_of_cells)
 
     def groups_of(self, rows: FloatArray) -> IntArray:

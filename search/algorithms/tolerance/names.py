@@ -1,4 +1,4 @@
-"""The parameters and choices that the settings of `tolerance@1` name."""
+"""Resolves the parameters and choices that the settings of `tolerance@1` name."""
 
 from collections.abc import Sequence
 

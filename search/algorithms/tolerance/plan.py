@@ -55,7 +55,7 @@ class Plan:
         self._add(Purpose.TRUTH, population, population, drive, None, 0)
 
     def add_screening(self, group: int) -> None:
-        """Plan the next drive of a group with the grossest error."""
+        """Plan the next drive of a group with the most severe error."""
         found, drive = self._layout.groups[group], int(self.screened[group])
         self.screened[group] += 1
         self._add(Purpose.SCREENING, group, found.population, drive, found.choices, LEVELS)

@@ -1,4 +1,4 @@
-"""Which drives the next generation of `tolerance@1` has."""
+"""The drives of the next generation of `tolerance@1`."""
 
 from dataclasses import replace
 from typing import Final

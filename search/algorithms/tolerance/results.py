@@ -1,4 +1,4 @@
-"""What a search for tolerances knows when it plans a generation, and which drives tell most."""
+"""The results so far of a search for tolerances, and the choice of the most informative drives."""
 
 import math
 from collections import Counter
@@ -42,7 +42,7 @@ _SHUFFLED: Final = np.array([4, 1, 6, 3, 0, 5, 2])
 
 
 class Results:
-    """What a search knows when it plans a generation."""
+    """The results with which a search plans a generation."""
 
     def __init__(self, state: ToleranceState, layout: Layout) -> None:
         self._state = state
@@ -58,7 +58,7 @@ class Results:
         )
 
     def plan_truth(self, plan: Plan) -> None:
-        """Plan the drives without an error that tell whether it caused a violation."""
+        """Plan error-free drives, which show whether the error caused a violation."""
         state, layout, jobs = self._state, self._layout, self._state.jobs
         tried = Counter(map(tuple, jobs[jobs[:, 0] == Purpose.TRUTH][:, 1:].tolist()))
         flying = [c.number for generation in state.ledger.flight for c in generation]
@@ -90,7 +90,7 @@ class Results:
 
     @cached_property
     def _estimates(self) -> "_Estimates":
-        """How well the tolerated severity of each cell is known, and what a drive would tell."""
+        """How well the tolerated severity of each cell is known, and how informative a drive would be."""
         layout, config = self._layout, self._state.config
         tail = 0.5 * (1.0 - config.confidence)
         widths, gains = np.empty(len(layout.cells)), np.empty((len(layout.cells), LEVELS))
@@ -149,7 +149,7 @@ class Results:
         return (screening.vulnerable + 0.5) / (screening.screened + 1.0)
 
     def plan_adaptively(self, plan: Plan, rng: np.random.Generator) -> None:
-        """Plan drives where they narrow the intervals of tolerated severities most for what they cost."""
+        """Plan drives where they narrow the intervals of tolerated severities most for their cost."""
         config, layout = self._state.config, self._layout
         if not plan.room:
             return
@@ -185,7 +185,7 @@ class Results:
 
 
 class _Estimates(NamedTuple):
-    """What is known of the tolerated severities.
+    """Estimates of the tolerated severities.
 
     Attributes:
         widths: Widths of the intervals, shape ``(cells,)``.

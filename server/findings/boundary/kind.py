@@ -105,7 +105,7 @@ class BoundaryKind(Kind):
 
 
 def _repeat(subject: Subject, distinct: int) -> list[Step]:
-    """Return the step that simulates the boundary again, unless that was done or cannot tell anything."""
+    """Return the step that simulates the boundary again, unless that was done or would be uninformative."""
     again = [one for one in subject.stored if one.boundary and one.kind is FollowUpKind.CONFIRM]
     open_one = next((one for one in again if one.campaign.status not in ENDED), None)
     if open_one is None and (again or _cannot_repeat(subject)):

@@ -1,4 +1,4 @@
-"""What simulating boundary solutions again with other seeds showed."""
+"""Results of simulating boundary solutions again with other seeds."""
 
 from collections import Counter
 
@@ -30,7 +30,7 @@ async def count_distinct(
 def repeats_view(
     campaign: Campaign, stored: StoredRepeats, read_archive: ReadArchive, distinct: int | None
 ) -> RepeatsView:
-    """Return what repeats show.
+    """Return the results of repeats.
 
     Args:
         campaign: The campaign whose solutions are repeated.
@@ -101,7 +101,7 @@ def _pooled(unsafe: int, evaluated: int, z: float) -> tuple[float, float] | None
 
 
 def _in_words(view: RepeatsView, to_clear: int | None) -> str:
-    """Return what repeats show: the share of all simulations with its interval, and what is known of each solution.
+    """Summarise repeats: the unsafe share of all simulations with its interval, and the conclusion on each solution.
 
     Args:
         view: The repeats.

@@ -146,7 +146,7 @@ def boundary_rows(boundary: Boundary, campaign: str, body: CampaignBody) -> list
 
 
 def _parameters(solution: SolutionView) -> Row:
-    """Return the parameters that had a part in the episode, or all if that was not recorded."""
+    """Return the parameters that were active in the episode, or all if that was not recorded."""
     activity = solution.activity
     shown = solution.parameters if activity is None else activity.effective
     inactive = frozenset(() if activity is None else activity.inactive)

@@ -178,7 +178,7 @@ def combinations_view(
 
 
 def _explanation_words(chains: Sequence[CombinationView], config: SimoodConfig, margin: float | None) -> str:
-    """Return what added harm means, in sentences; empty if it is unknown of every chain."""
+    """Explain added harm in sentences; empty if it is unknown for every chain."""
     if all(one.added_harm is None for one in chains):
         return ""
     worse = "by how much lower mAP is" if config.alpha == "quality" else "how many more errors there are"

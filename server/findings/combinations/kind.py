@@ -59,7 +59,7 @@ class CombinationsKind(Kind):
         return True
 
     def fits(self, plan: object) -> bool:
-        """Return that no other problem has them."""
+        """Return False: only problems that report chains have them."""
         return False
 
     async def find(self, subject: Subject) -> Finding:

@@ -139,7 +139,7 @@ def pairs_view(
 
 
 def _sides_again(pairs: Sequence[Pair], repeated: Repeated) -> tuple[int, int]:
-    """Return how many sides were simulated again with other seeds, and how many of them had another verdict then."""
+    """Return how many sides were simulated again with other seeds, and how many of them then had another verdict."""
     sides = {pair.safe.number: False for pair in pairs} | {pair.unsafe.number: True for pair in pairs}
     shares = {number: repeated.shares[number] for number in sides if number in repeated.shares}
     changed = [
@@ -150,7 +150,7 @@ def _sides_again(pairs: Sequence[Pair], repeated: Repeated) -> tuple[int, int]:
 
 
 def _chance(pairs: CampaignPairs, again: int, changed: int, *, refuted: int) -> tuple[str, ...]:
-    """Return what is known of the part of chance: from the search, and from simulations after it."""
+    """Return the estimated role of chance: from the search, and from later simulations."""
     chancy, alike, told = pairs.found.chancy, pairs.found.without_part, []
     if chancy:
         what, which = (
@@ -181,14 +181,14 @@ def _cases(number: int) -> str:
 
 
 def _caveat(campaign: Campaign, problem: Problem) -> str:
-    """Return what pairs do not say of a component of the user's own; empty without a component."""
+    """State what pairs do not show about a user's component; empty without a component."""
     return "" if campaign.body.ground_truth else problem.about_component
 
 
 def _offers(
     campaign: Campaign, found: ReadArchive, pairs: CampaignPairs, stored: Sequence[StoredRepeats]
 ) -> dict[FollowUpKind, tuple[int, str, int]]:
-    """Return how many simulations each kind of follow-up takes, why it cannot be asked, and how many are left out."""
+    """Return each follow-up's number of simulations, why it is unavailable, and how many pairs it leaves out."""
     chosen = pairs.found.pairs[:MOST_PAIRS_FOLLOWED]
     if campaign.status not in ENDED:
         return dict.fromkeys(
@@ -230,7 +230,7 @@ def _offers(
 
 
 def _refusal(check: Callable[[], object]) -> str:
-    """Return why a check fails; empty if it does not."""
+    """Return the reason why a check fails; empty if it passes."""
     try:
         check()
     except InvalidInput as error:
@@ -268,7 +268,7 @@ def _pair(
 def _changes(
     problem: Problem, safe: SimulatedSolution, unsafe: SimulatedSolution, units: Sequence[Unit]
 ) -> tuple[list[ChangeView], str, str]:
-    """Return the differences between two solutions, active ones first, the change in words, and how far it goes."""
+    """Return the differences between two solutions, active ones first, the change in words, and its size."""
     changes = sorted(changes_between(problem, safe, unsafe, units), key=lambda change: change.active is False)
     titles = problem.space.titles()
     views = [_change(change, titles) for change in changes]
@@ -297,7 +297,7 @@ class _Reduction:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Evidence:
-    """What the follow-ups of a campaign have shown.
+    """The results of a campaign's follow-ups.
 
     Attributes:
         plan: The campaign's plan.
@@ -323,7 +323,7 @@ class _Evidence:
         stored: Sequence[StoredRepeats],
         repeated: Repeated,
     ) -> Self:
-        """Read what follow-ups have shown.
+        """Read the results of the follow-ups.
 
         Args:
             connection: Read connection.
@@ -495,7 +495,7 @@ def _side(side: Side, problem: Problem, solution: SimulatedSolution, row: Row[An
 
 
 def _outcome(problem: Problem, row: Row[Any]) -> SolutionOutcome:
-    """Return what a simulation showed."""
+    """Return the outcome of a simulation."""
     safe = row.verdict == SolutionVerdict.SAFE
     return outcome_of(problem, _result(row), safe=safe, robustness=row.robustness)
 
@@ -509,7 +509,7 @@ def _deciding(problem: Problem, row: Row[Any] | None) -> tuple[str, ...]:
 
 
 def _blame(deciding: tuple[str, ...], counts: Mapping[str, int]) -> str:
-    """Return for how many pairs the component is to blame, and for how many the scenario; empty if not asked."""
+    """Return for how many pairs the component is to blame, and for how many the scenario; empty if unknown."""
     asked = counts["component"] + counts["scenario"]
     if not asked:
         return ""

@@ -214,7 +214,7 @@ def _best_pair(view: PairsView, pair: PairView) -> BestPair:
 
 
 def _rule_words(view: PairsView) -> str:
-    """Return what it takes for a pair to hold."""
+    """State the rule by which a pair holds."""
     rule = view.rule
     if view.computed:
         return "Verdicts are computed, not simulated: every pair holds."
@@ -226,7 +226,7 @@ def _rule_words(view: PairsView) -> str:
 
 
 def _ask(subject: Subject, view: PairsView, offer: FollowUpOffer) -> Step | None:
-    """Return the step that asks for a follow-up; None if there is nothing left to ask."""
+    """Return the step that asks for a follow-up; None if there is nothing left to do."""
     campaign = subject.campaign.id
     running = (one for one in subject.stored if one.kind is offer.kind and one.campaign.status not in ENDED)
     open_one = next((one for one in running if not one.boundary), None)
@@ -265,7 +265,7 @@ def _look(subject: Subject, view: PairsView, question: str) -> Step:
 
 
 def _sides(listed: Listed) -> Sequence[tuple[int, int]] | None:
-    """Return the sides of the distinct pairs, found once; None if there are too many to tell."""
+    """Return the sides of the distinct pairs, computed once; None if there are too many."""
     campaign = listed.campaign
     sides: Sequence[tuple[int, int]] | None
     generation, sides = listed.kept.get(campaign.id, (None, None))

@@ -57,7 +57,7 @@ class ConfirmationRule(View):
 
 
 class ComponentPart(StrEnum):
-    """What an unsafe drive with ground truth in place of the component says."""
+    """What an unsafe drive with ground truth in place of the component shows."""
 
     COMPONENT = "component"
     """It is safe: without the component's output there is no hazard."""
@@ -220,7 +220,7 @@ class NearestView(View):
 
 
 class FollowUpOffer(View):
-    """What can be asked about all of these pairs, and what it takes."""
+    """A follow-up that is available for all of these pairs, and its cost."""
 
     kind: FollowUpKind
     simulations: Annotated[
@@ -236,7 +236,7 @@ class FollowUpOffer(View):
 
 
 class FollowUpBody(Body):
-    """What to ask about the pairs of a campaign."""
+    """The follow-up to run on the pairs of a campaign."""
 
     kind: Annotated[
         Literal["confirm", "component", "minimise"],
@@ -408,7 +408,7 @@ class BestPair(View):
 
 
 class PairsFound(View):
-    """What only pairs have: which solutions they are, and the best of them for pictures."""
+    """Details that only pairs have: the solutions of each pair, and the best pairs for pictures."""
 
     distinct: Annotated[int, Field(description="Distinct pairs at the campaign's own settings.")]
     rings: Annotated[

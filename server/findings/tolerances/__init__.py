@@ -1,1 +1,1 @@
-"""Findings of the kind `tolerances`: how gross the errors of a component may be."""
+"""Findings of the kind `tolerances`: how severe the errors of a component may be."""

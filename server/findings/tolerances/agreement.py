@@ -1,4 +1,4 @@
-"""Whether fresh drives are as tolerances predict."""
+"""Whether fresh drives agree with the predictions of tolerances."""
 
 from typing import Final
 
@@ -64,7 +64,7 @@ def agreement_view(
     found: CampaignTolerance,
     confidence: float,
 ) -> AgreementView:
-    """Return whether fresh drives are as tolerances predict.
+    """Return whether fresh drives agree with the predictions of tolerances.
 
     Args:
         campaign: The campaign with the tolerances.

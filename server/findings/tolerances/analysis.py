@@ -54,7 +54,7 @@ async def find_tolerance(sources: Sources, campaign: Campaign, read: ReadArchive
 
 
 def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> ToleranceView:
-    """Return the tolerances of a campaign for people and programs.
+    """Return the tolerances of a campaign as the API returns them.
 
     Args:
         campaign: The campaign.
@@ -155,7 +155,7 @@ def _caveat(cells: list[CellView], limit: float) -> str:
 
 
 def _basis(curve: Curve, screening: Screening | None) -> str:
-    """Return how many drives the tolerance of a cell rests on; empty if there are none."""
+    """Return how many drives the tolerance of a cell is based on; empty if there are none."""
     drives, caused = int(curve.drives.sum()), int(curve.caused.sum())
     if screening is None:
         return f"such errors did so in {caused} of {drives} drives" if drives else ""
@@ -205,7 +205,7 @@ def error_words(problem: Problem, choices: Mapping[str, str]) -> str:
 
 
 class CellWords:
-    """Puts what is known of a cell into words and units."""
+    """Describes the estimates of a cell in words and units."""
 
     def __init__(
         self, problem: Problem, choices: Mapping[str, str], requirements: list[str], limit: float
@@ -301,7 +301,7 @@ class CellWords:
         return error_words(self._problem, self._choices)
 
     def checked(self, check: CellCheck, middle: float | None) -> str:
-        """Return whether a detector meets the requirement of a cell, with the basis of that.
+        """Return whether a detector meets the requirement of a cell, with the evidence.
 
         Args:
             check: The detector's errors.
@@ -320,7 +320,7 @@ class CellWords:
         return f"{start}: {words}."
 
     def fall(self, curve: Curve) -> FallView | None:
-        """Return where more error is safer; None for nowhere."""
+        """Return the range over which a larger error is safer; None if there is none."""
         fall = curve.fall
         if fall is None:
             return None
@@ -342,7 +342,7 @@ def _ends(curve: Curve) -> tuple[float, float, float]:
 
 
 def _finding(curve: Curve, basis: str) -> Tolerated:
-    """Return what is known of a cell: nothing before the first drive, whatever the prior says."""
+    """Return the estimate for a cell; undecided before the first drive, whatever the prior."""
     if not basis:
         return Tolerated.UNDECIDED
     if math.isinf(curve.tolerated.low):

@@ -116,7 +116,7 @@ def detector_view(
 
 
 def _not_judged(problem: Problem, cells: Sequence[Mapping[str, str]], drives: Sequence[Drive]) -> str:
-    """Return in a sentence the gross errors of the detector for which the campaign has no cell; empty for none."""
+    """Return a sentence on the severe errors of the detector for which the campaign has no cell; empty for none."""
     names = {name.rpartition(".")[2]: name for name in cells[0]} if cells else {}
     if not isinstance(problem, RatesMeasuredErrors) or set(names) != {"type", "target"}:
         return ""
@@ -147,7 +147,7 @@ _SHOWN: Final = (CheckResult.NOT_MET, CheckResult.TOO_LITTLE, CheckResult.MET, C
 
 
 def _verdict(name: str, drives: int, results: Sequence[CheckResult]) -> str:
-    """Return in how many cells a requirement is met, not met, or neither, in one sentence."""
+    """Return a sentence that counts the cells in which a requirement is met, not met, or undecided."""
     not_met, met, no_data = (
         results.count(result) for result in (CheckResult.NOT_MET, CheckResult.MET, CheckResult.NO_DATA)
     )
@@ -192,7 +192,7 @@ def _detector_cell(check: CellCheck, words: "CellWords") -> DetectorCell:
 
 
 def _no_data(cells: Sequence[DetectorCell]) -> str:
-    """Return what no drive tells anything about, in a sentence for each group of conditions."""
+    """Return a sentence for each group of conditions without informative drives."""
     conditions: dict[str, list[str]] = {}
     for condition in dict.fromkeys(cell.condition for cell in cells):
         here = [cell for cell in cells if cell.condition == condition]
@@ -205,7 +205,7 @@ def _no_data(cells: Sequence[DetectorCell]) -> str:
 
 
 def _next(cells: Sequence[DetectorCell], without_condition: int) -> list[str]:
-    """Return what to record next: where more drives would decide, where there are none yet, and the rest.
+    """Return what to record next: where more drives would be decisive, where there are none yet, and the rest.
 
     Args:
         cells: The cells.

@@ -1,4 +1,4 @@
-"""Tolerances as a kind of finding."""
+"""How severe each error of a component may be before too many drives violate a requirement."""
 
 import json
 from typing import Final
@@ -66,7 +66,7 @@ class TolerancesKind(Kind):
         return counted(len(layout.cells), "tolerance")
 
     def leads_to(self, subject: Subject) -> list[Step]:
-        """Return the step that asks how wrong the detector of the campaign's problem may be."""
+        """Return the step that asks how severe the errors of the problem's detector may be."""
         errors_problem = subject.plan.problem.errors_problem
         return [_search(subject.campaign, errors_problem)] if errors_problem else []
 

@@ -1,4 +1,4 @@
-"""Response schemas of tolerances: how gross an error may be before it makes too many drives violate."""
+"""Response schemas of tolerances: how severe an error may be before it makes too many drives violate."""
 
 from enum import StrEnum
 from typing import Annotated
@@ -12,18 +12,18 @@ from brink.server.views import View
 
 
 class Tolerated(StrEnum):
-    """How gross an error may be."""
+    """How severe an error may be."""
 
     LIMIT = "limit"
     """Up to a limit, at which too many drives violate."""
     THROUGHOUT = "throughout"
-    """However gross it is: the limit is not within the scale."""
+    """However severe it is: the limit is not within the scale."""
     UNDECIDED = "undecided"
     """The limit may or may not be within the scale."""
 
 
 class Amount(View):
-    """A severity and the magnitude that it stands for; both are null beyond the scale."""
+    """A severity and its magnitude; both are null beyond the scale."""
 
     severity: float | None
     magnitude: Annotated[float | None, Field(description="In the unit of the cell; null without one, too.")]
@@ -51,7 +51,7 @@ class CurveView(View):
 
 
 class FallView(View):
-    """A stretch of severity over which more error is safer."""
+    """A range of severities over which a larger error is safer."""
 
     from_severity: float
     to_severity: float
@@ -138,7 +138,7 @@ class ToleranceView(View):
 
 
 class DetectorCell(View):
-    """A detector's errors of one cell."""
+    """A detector's errors in one cell."""
 
     choices: dict[str, str]
     error: str
@@ -198,7 +198,7 @@ class DetectorView(View):
 
 
 class AgreementCell(View):
-    """What fresh drives say of one cell."""
+    """The evidence of fresh drives on one cell."""
 
     place: Annotated[int, Field(description="Its place in the list of cells, from 1.")]
     choices: dict[str, str]
@@ -212,7 +212,7 @@ class AgreementCell(View):
 
 
 class AgreementView(View):
-    """Whether the drives of another campaign are as the tolerances of a campaign predict."""
+    """Whether the drives of another campaign agree with the predictions of a campaign's tolerances."""
 
     campaign: str
     fresh: str

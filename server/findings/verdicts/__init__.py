@@ -1,1 +1,1 @@
-"""Findings of the kind `verdicts`: how many solutions are unsafe, which every campaign tells."""
+"""Findings of the kind `verdicts`: how many solutions are unsafe, which every campaign reports."""

@@ -1,4 +1,4 @@
-"""Verdicts as a kind of finding: what is left to say of a campaign that is for nothing else."""
+"""Verdicts as a kind of finding, for campaigns that have no other."""
 
 from brink.server.campaigns.plan import Plan
 from brink.server.findings.finding import Finding, Role
@@ -27,11 +27,11 @@ class VerdictsKind(Kind):
     rank = 100
 
     def role(self, plan: Plan) -> Role:
-        """Return that every campaign has verdicts, besides what it is for."""
+        """Return the role of verdicts, which every campaign has besides its main findings."""
         return Role.SIDE
 
     async def find(self, subject: Subject) -> Finding:
-        """Return how often each outcome was seen."""
+        """Return how often each outcome occurred."""
         campaign, read = subject.campaign, subject.read
         outcomes = await subject.sources.outcomes.get(campaign.id, read)
         violate = outcomes.kind_words(OutcomeKind.VIOLATED) if outcomes.requirements else "are unsafe"

@@ -112,7 +112,7 @@ def violation_types(
 
 
 def _with_examples(types: Sequence[TypeView], found: Sequence[FoundViolation]) -> list[TypeView]:
-    """Return types, each with the first fitting solution as its example that is not the example of an earlier type.
+    """Return types, each with its first fitting solution as the example, unless an earlier type has the same one.
 
     Where there is none, it is the first fitting one: a drive may violate two requirements at once.
     """
@@ -130,7 +130,7 @@ def _with_examples(types: Sequence[TypeView], found: Sequence[FoundViolation]) -
 
 
 def seen_again(types: Sequence[TypeView], archive: Archive) -> list[TypeView]:
-    """Return types, each with the number of further drives of its solutions, and of those that had the type, too."""
+    """Return types, each with the number of repeated drives, and of those that showed the type again."""
     if not types:
         return []
     _, which = np.unique(archive.vectors, axis=0, return_inverse=True)
@@ -146,7 +146,7 @@ def seen_again(types: Sequence[TypeView], archive: Archive) -> list[TypeView]:
 
 
 def violations_words(found: Sequence[FoundViolation]) -> str:
-    """Return how many types of violations a careful driver would have avoided, of how many, in a sentence."""
+    """Return a sentence on how many types of violations a careful driver would have avoided."""
     if not found:
         return "no violations"
     types = len({one.type for one in found})
@@ -197,7 +197,7 @@ def _type_view(kind: ViolationType, solutions: int) -> TypeView:
 
 
 def _avoided_words(kind: ViolationType, solutions: int) -> str:
-    """Return in how many of a type's solutions the violation is as avoidable as the type."""
+    """Return in how many of a type's solutions the violation is as avoidable as the type itself."""
     avoided = len({one.number for one in kind.violations if one.avoidable is kind.avoidable})
     nobody = kind.avoidable in (None, Avoidable.NO)
     return f"{solutions:,}" if nobody and avoided == solutions else f"{avoided:,} of {solutions:,}"

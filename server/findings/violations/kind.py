@@ -43,7 +43,7 @@ class ViolationsKind(Kind):
         return isinstance(problem, ReportsViolations)
 
     def fits(self, plan: object) -> bool:
-        """Return that no other problem has them."""
+        """Return False: only problems that report violations have them."""
         return False
 
     async def find(self, subject: Subject) -> Finding:

@@ -112,7 +112,7 @@ class AvoidableExample(View):
 
 
 class ViolationsFound(View):
-    """What only violations have: examples for pictures."""
+    """Details that only violations have: examples for pictures."""
 
     examples: Annotated[
         list[AvoidableExample],

@@ -1,1 +1,1 @@
-"""The simulator `gymnasium@1`: a policy in any Gymnasium environment, on observations that are perturbed."""
+"""The simulator `gymnasium@1`: a policy in any Gymnasium environment, with perturbed observations."""

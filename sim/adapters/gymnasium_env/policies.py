@@ -1,4 +1,4 @@
-"""Policies and margins for the environments of the examples. Those of your own look the same.
+"""Policies and margins for the example environments; write your own in the same way.
 
 A policy maps an observation to an action. It is a function, or a class without arguments whose instances are called:
 each episode gets its own. A margin maps a whole episode to a number that is negative if the episode is unsafe.
@@ -19,7 +19,7 @@ CART_POLE_ANGLE_RAD: Final = 12 * 2 * np.pi / 360
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Episode:
-    """What happened in an episode. The first row of states and observations is that of the reset.
+    """The record of an episode; the first row of states and observations comes from the reset.
 
     Attributes:
         states: The observations as the environment returned them, flattened, shape ``(n + 1, d)``.

@@ -1,4 +1,4 @@
-"""The simulator `gymnasium@1`: runs a policy in a Gymnasium environment, on observations that are perturbed.
+"""The simulator `gymnasium@1`: runs a policy in a Gymnasium environment, with perturbed observations.
 
 The environment receives the actions and stays true: only what the policy observes is perturbed. Policies and margins
 are named ``module:function``, where the module is a plug-in (``--plugin``) or Brink's own; see `policies`.
@@ -51,7 +51,7 @@ class GymnasiumSimulator:
     id: ClassVar[str] = SIMULATOR_ID
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
-        """Run one episode. There is no trace: an environment in general has no picture from above.
+        """Run one episode, without a trace: environments in general have no top-down view.
 
         Args:
             spec: The specification.
@@ -86,7 +86,7 @@ class GymnasiumSimulator:
 
 
 def _loaded(wanted: GymnasiumEpisode) -> tuple[Callable[[Any], Any], Callable[[Episode], float] | None]:
-    """Return the policy, a new instance of one that is a class, and the margin."""
+    """Return the policy (a new instance if it is a class) and the margin."""
     policy = load_function("options.policy", wanted.policy, OWN_MODULES)
     made: Callable[[Any], Any] = policy() if inspect.isclass(policy) else policy  # type: ignore[assignment]
     margin = None if wanted.margin is None else load_function("options.margin", wanted.margin, OWN_MODULES)
@@ -146,7 +146,7 @@ def make_environment(name: str, arguments: Any, **settings: Any) -> Any:
 
 
 def observed_dimensions(environment: Any) -> int:
-    """Return how many numbers an observation of an environment has.
+    """Return the number of values in an environment's observation.
 
     Raises:
         InvalidEpisode: Its observations are no arrays of numbers, or they are too large.
@@ -235,7 +235,7 @@ class _Sensor:
         return [None if steps is None else [*steps] for steps in self._changed]
 
     def observe(self, state: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the next observation as the policy receives it, flat."""
+        """Return the next observation as the policy receives it, flattened."""
         found = state.copy()
         for index, one in enumerate(self._perturbations):
             draw = float(self._rngs[index].normal())  # at every step, so that windows do not shift draws
@@ -264,7 +264,7 @@ class _Sensor:
                 return 0.0
 
     def shaped(self, observation: NDArray[np.float64]) -> NDArray[Any]:
-        """Return an observation in the shape and type that the environment's own have."""
+        """Return an observation in the environment's own shape and dtype."""
         shaped: NDArray[Any] = observation.astype(self._space.dtype).reshape(self._space.shape)
         return shaped
 

@@ -104,16 +104,16 @@ class Perturbation:
 
     @property
     def shown(self) -> float:
-        """The magnitude as people are shown it: a gain in percent."""
+        """The magnitude as displayed: gains in percent."""
         return 100.0 * self.magnitude if self.type is PerturbationType.GAIN else self.magnitude
 
     @property
     def unit(self) -> str:
-        """The unit of `shown`; empty for that of the observation, which is unknown."""
+        """The unit of `shown`; empty if it is the observation's own, which is unknown."""
         return "%" if self.type is PerturbationType.GAIN else ""
 
     def kind_words(self, name: str, magnitude: str) -> str:
-        """Return how a number is perturbed in words, without the window.
+        """Describe how a value is perturbed, without the time window.
 
         Args:
             name: What people call the number.
@@ -133,7 +133,7 @@ class Perturbation:
 
     @property
     def window_words(self) -> str:
-        """When it is perturbed, in words."""
+        """The time window in words."""
         return f"from step {self.from_step} on for {self.steps} steps"
 
 

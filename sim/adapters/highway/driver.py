@@ -59,7 +59,7 @@ class _Models:
 
 
 class _Forwards(IDMVehicle):  # type: ignore[misc]  # (highway-env has no types)
-    """A vehicle that never reverses: without this, IDM does whenever something is very close."""
+    """A vehicle that never reverses; plain IDM reverses when something is very close."""
 
     def act(self, action: Any = None) -> None:
         """Decide on steering and acceleration."""
@@ -83,7 +83,7 @@ class IntersectionTraffic(_Models, _Forwards):
 
 
 class Ego(MDPVehicle):  # type: ignore[misc]
-    """The car under test in the world. It does what its driver decided last."""
+    """The car under test in the world; it executes its driver's latest decision."""
 
     def act(self, action: Any = None) -> None:
         """Take over an action of the driver, if one is given."""
@@ -92,7 +92,7 @@ class Ego(MDPVehicle):  # type: ignore[misc]
 
 
 class Driver(_Models, _Forwards):
-    """The driver of the ego, who knows only the vehicles of the road that `perceived_road` makes.
+    """The ego's driver, which knows only the vehicles on the road from `perceived_road`.
 
     Attributes:
         lines: Lanes at whose ends the driver gives way, with the distance of the line from the end.
@@ -155,7 +155,7 @@ class Driver(_Models, _Forwards):
         return behind and float(self.direction.dot(vehicle.direction)) > 0.5
 
     def _own_way(self) -> Ways:
-        """Return where the ego would be if it did not give way."""
+        """Return the ego's future positions if it did not give way."""
         lane_index, speed_mps = self.lane_index, max(self.speed, 0.0)
         target_mps = max(self.target_speed, 1.0)
         route = self.route or [lane_index]

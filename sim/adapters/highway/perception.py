@@ -30,7 +30,7 @@ _STREAM_STRIDE: Final = 1_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NearbyVehicle:
-    """Another vehicle as it is.
+    """The true state of another vehicle.
 
     Attributes:
         number: Unique in the episode.
@@ -108,7 +108,7 @@ class _ActiveError:
         self.steps: tuple[int, int] | None = None
 
     def update(self, step: int, time_s: float, ego: Pose, near: Sequence[NearbyVehicle]) -> None:
-        """Open or close the window, and note who came into range."""
+        """Open or close the window, and record which vehicles came into range."""
         self._time_s = time_s
         known_s = -math.inf if step == 0 else time_s
         self._entered_s = {body.number: self._entered_s.get(body.number, known_s) for body in near}
@@ -135,7 +135,7 @@ class _ActiveError:
         return changed
 
     def ghost(self, step: int, time_s: float, ego: Pose) -> Perceived | None:
-        """Return the ghost of this error, if it is there."""
+        """Return the ghost of this error, if it is present."""
         if self._ghost is None or self._opened_s is None or not self._open:
             return None
         length_m, width_m = CAR_M
@@ -196,7 +196,7 @@ class _ActiveError:
                 return replace(pose, speed_mps=pose.speed_mps + error.magnitude * draw)
 
     def _draws(self, number: int, count: int) -> list[float]:
-        """Return normal draws for a vehicle from a generator of its own: others do not shift them."""
+        """Return normal draws from the vehicle's own generator, so that other vehicles do not shift them."""
         if number not in self._noise:
             index = self._index * _STREAM_STRIDE + number
             self._noise[number] = generator(self._seed, Stream.DRIVING_SYSTEM, index)
@@ -204,7 +204,7 @@ class _ActiveError:
 
 
 def _ghost_pose(error: PerceptionError, ego: Pose) -> Pose:
-    """Return where a ghost appears, straight ahead of the ego as it is then."""
+    """Return the pose at which a ghost appears: straight ahead of the ego at that time."""
     aside_m = {Target.LEFT: _LANE_M, Target.RIGHT: -_LANE_M, Target.CROSSING: -GHOST_ASIDE_M}
     place = _moved(ego, error.distance_m, aside_m.get(error.target, 0.0))
     if error.target is Target.CROSSING:

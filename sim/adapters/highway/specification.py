@@ -157,7 +157,7 @@ class ErrorType(StrEnum):
 
 
 class Target(StrEnum):
-    """Which vehicles an error concerns.
+    """Which vehicles an error affects.
 
     Of an error with a window, ``ahead`` is the nearest vehicle ahead on the ego's way when the window opens,
     ``left`` and ``right`` the nearest one in the neighbouring lane, ahead or beside, and ``crossing`` the nearest one
@@ -244,7 +244,7 @@ class PerceptionError:
     distance_m: float = math.nan
 
     def to_json(self) -> JsonObject:
-        """Return the error as a JSON object, with the fields that its type has."""
+        """Return the error as a JSON object, with the fields of its type."""
         values: JsonObject = {
             "type": self.type.value,
             "target": self.target.value,
@@ -293,7 +293,7 @@ class PerceptionError:
 
     @property
     def severity(self) -> float:
-        """How gross the error is, 0 without effect."""
+        """The severity of the error; 0 has no effect."""
         return MAGNITUDES[self.type].severity(self.magnitude)
 
     @property
@@ -307,7 +307,7 @@ class PerceptionError:
         return " ".join(parts)
 
     def words_with(self, magnitude: str) -> str:
-        """Return what is wrong in words, with the magnitude as given and without the window."""
+        """Describe the error with the given magnitude and without the window."""
         much = _PERCEIVES[self.type].format(much=magnitude)
         if self.type is ErrorType.GHOST:
             place = _GHOST_PLACES[self.target].format(at=f"{self.distance_m:.0f} m")

@@ -183,7 +183,7 @@ class HighwayWorld:
 
     @property
     def pose(self) -> Pose:
-        """Where the ego is."""
+        """The ego's pose."""
         return _pose(self.ego)
 
     @property
@@ -212,7 +212,7 @@ class HighwayWorld:
         }
 
     def bodies(self) -> list[NearbyVehicle]:
-        """Return the other vehicles with their places relative to the ego."""
+        """Return the other vehicles with their positions relative to the ego."""
         return [
             NearbyVehicle(
                 number=self._number(near.vehicle),
@@ -224,7 +224,7 @@ class HighwayWorld:
         ]
 
     def decide(self, perceived: Sequence[Perceived]) -> str:
-        """Let the driver decide on the next step, and return what it does in a word or two.
+        """Let the driver decide the next step, and return its action in a word or two.
 
         Args:
             perceived: All that it knows of other vehicles. It knows the road, and what stands on it.
@@ -273,7 +273,7 @@ class HighwayWorld:
         self._look_around()
 
     def _look_around(self) -> None:
-        """Find where the other vehicles are relative to the ego's way."""
+        """Locate the other vehicles relative to the ego's path."""
         way = list(self._way())
         here_m = way[0][0].local_coordinates(self.ego.position)[0]
         self._around = []
@@ -386,7 +386,7 @@ class HighwayWorld:
         return f"car-{self._number(vehicle)}"
 
     def scene(self, duration_s: float) -> list[Surface]:
-        """Return the road as surfaces: the whole network, of a long highway the part that the ego can reach.
+        """Return the road as surfaces: the whole network, or the part of a long highway that the ego can reach.
 
         Args:
             duration_s: Length of the episode.
@@ -452,13 +452,13 @@ def _pose(body: Any) -> Pose:
 
 
 def _lane_of(aside_m: float) -> int | None:
-    """Return which lane beside the ego's way an offset to the right lies in; None farther away."""
+    """Return the lane beside the ego's path in which an offset to the right lies; None beyond those lanes."""
     number = round(aside_m / _LANE_M)
     return number if abs(number) <= 1 else None
 
 
 def _located(way: Sequence[tuple[Any, float]], here_m: float, position: Any) -> tuple[float, float | None]:
-    """Return how far ahead of the ego a place is along its way, and how far to the right of it; None off the way."""
+    """Return how far ahead along the ego's path a position lies, and how far to the right; None off the path."""
     best: tuple[float, float] | None = None
     for order, (lane, begins_m) in enumerate(way):
         along_m, aside_m = lane.local_coordinates(position)

@@ -74,7 +74,7 @@ class Lane:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ego:
-    """Where the ego begins: edge, lane, place of its front bumper, speed, and its way."""
+    """The ego's start: edge, lane, position of its front bumper, speed and route."""
 
     lane: int
     position_m: float
@@ -101,7 +101,7 @@ class Roads:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Vehicle:
-    """A vehicle that stands in line, or enters.
+    """A vehicle that waits in a queue or enters the network.
 
     Attributes:
         name: Its id.
@@ -219,14 +219,14 @@ def _types(drive: Drive) -> Iterator[str]:
 
 
 def comfortable_braking_mps2(hardest_mps2: float) -> float:
-    """Return how hard drivers brake when they need not brake as hard as they can."""
+    """Return the deceleration at which drivers brake comfortably."""
     return min(COMFORTABLE_BRAKING_MPS2, 0.75 * hardest_mps2)
 
 
 def _standing(
     lane: Lane, drive: Drive, rng: np.random.Generator, ego: Ego
 ) -> Iterator[tuple[float, str, tuple[str, ...]]]:
-    """Yield place, kind and route of the vehicles on a lane, from its end to its beginning."""
+    """Yield position, kind and route of the vehicles on a lane, from its end to its beginning."""
     at_m = lane.length_m - _spacing_m(lane, drive, rng) * float(rng.uniform(0.5, 1.0))
     begins = lane.edge == ego.route[0] and lane.lane == ego.lane
     while at_m > TRUCK_M[0]:
@@ -243,7 +243,7 @@ def _in_the_way(at_m: float, length_m: float, lane: Lane, ego: Ego) -> bool:
 
 
 def _closest_m(length_m: float, speed_mps: float) -> float:
-    """Return how far apart the front bumpers of two vehicles are at least."""
+    """Return the minimum distance between the front bumpers of two vehicles."""
     return length_m + STANDSTILL_GAP_M + PEOPLES_HEADWAY_S * speed_mps
 
 
@@ -334,7 +334,7 @@ def _arterial() -> Roads:
 
 
 def _ways_on(on: tuple[str, ...], side: str) -> tuple[tuple[str, ...], ...]:
-    """Return the ways of vehicles in the arterial road's right lane: straight on, or right at a crossroads soon."""
+    """Return the routes of vehicles in the arterial road's right lane: straight on, or right at a crossroads soon."""
     leaving = []
     for step in range(min(2, len(on) - 1)):
         crossroads = on[step].partition("_")[2]
@@ -366,7 +366,7 @@ def _grid() -> Roads:
 
 
 def _way_along(corners: Sequence[tuple[int, int]]) -> tuple[str, ...]:
-    """Return the edges of a way through the grid with these corners."""
+    """Return the edges of a route through the grid with these corners."""
     edges = []
     for one, other in pairwise(corners):
         right, up = (int(np.sign(b - a)) for a, b in zip(one, other, strict=True))
@@ -391,7 +391,7 @@ def _edge(one: tuple[int, int], other: tuple[int, int]) -> str:
 
 
 def _wander(begin: tuple[int, int], heading: str, rng: np.random.Generator) -> tuple[str, ...]:
-    """Return a way through the grid: straight on or to the right, until it leaves the grid or is twelve streets long.
+    """Return a route through the grid: straight on or right, until it leaves the grid or is twelve streets long.
 
     Nobody turns left: on such small crossroads, a truck that waits to turn left stands in the way of the traffic
     behind it, which SUMO would count as collisions.

@@ -220,7 +220,7 @@ class _Roads:
         self._ends_at_light = frozenset(lights)
 
     def route(self, edges: Sequence[str], lane: str) -> Points:
-        """Return the middle of the lanes along a route.
+        """Return the centre line of the lanes along a route.
 
         Args:
             edges: Its edges.
@@ -309,7 +309,7 @@ def _pieces(points: Points, path: Points) -> list[Points]:
 
 
 def _resampled(points: Points, every_m: float) -> Points:
-    """Return a line with additional points, so that none is farther than a distance from the next."""
+    """Return a line with points added so that neighbours are at most a given distance apart."""
     parts = [
         np.linspace(one, other, max(1, math.ceil(np.hypot(*(other - one)) / every_m)), endpoint=False)
         for one, other in pairwise(points)

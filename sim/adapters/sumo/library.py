@@ -115,7 +115,7 @@ def _close(sumo: Library) -> None:
 
 @contextmanager
 def _stderr_to(file: int) -> Iterator[None]:
-    """Redirect what SUMO, which is not written in Python, prints on standard error."""
+    """Redirect SUMO's standard error, which bypasses Python's `sys.stderr`."""
     kept = os.dup(2)
     os.dup2(file, 2)
     try:

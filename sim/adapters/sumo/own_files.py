@@ -1,4 +1,4 @@
-"""A road network and its demand from files of one's own: where they are, what is in them, and what is wrong.
+"""A road network and its demand from the user's own files: locating, reading and checking them.
 
 Only the digest of the two files, not their path, says what was simulated: an episode whose files have changed since
 it was specified does not run.
@@ -51,7 +51,7 @@ class OwnFiles:
 
     @classmethod
     def read(cls, network: str, demand: str, ego: str) -> Self:
-        """Return two files that can be used.
+        """Return a network and a demand after checking them.
 
         Raises:
             OwnFilesError: A file is unusable, or the demand lacks the ego.
@@ -71,7 +71,7 @@ class OwnFiles:
 
     @classmethod
     def from_json(cls, where: str, document: Json) -> Self:
-        """Parse them without a look at the files.
+        """Parse them without opening the files.
 
         Raises:
             InvalidEpisode: A field is missing, unknown, or no text.
@@ -85,7 +85,7 @@ class OwnFiles:
         return cls(**{name: str(value) for name, value in document.items()})
 
     def check_unchanged(self) -> None:
-        """Check that the files are here, and those that the episode was specified with.
+        """Check that the files exist and are the ones with which the episode was specified.
 
         Raises:
             InvalidEpisode: One is missing, or another one now.
@@ -124,7 +124,7 @@ def check_network(path: str) -> None:
 
 
 def vehicle_ids(path: str) -> tuple[str, ...]:
-    """Return the ids of the vehicles that a demand lists one by one; those of flows have ids of SUMO's making.
+    """Return the ids of the vehicles that a demand lists one by one; SUMO generates the ids of flows' vehicles.
 
     Raises:
         OwnFilesError: The file is not a demand, or refers to further files.
@@ -145,7 +145,7 @@ def vehicle_ids(path: str) -> tuple[str, ...]:
 
 
 def _check_order(path: str, root: ElementTree.Element) -> None:
-    """Check that departures are in order: SUMO ignores what it finds too late."""
+    """Check that departures are in chronological order: SUMO ignores any that come too late."""
     latest, before = -math.inf, ""
     for element in root:
         name = str(element.get("id"))
@@ -175,7 +175,7 @@ def _parse(path: str, root: str, what: str) -> ElementTree.Element:
 
 
 def _bytes(path: str) -> bytes:
-    """Return what is in a file, unpacked."""
+    """Return the content of a file, decompressed."""
     file = Path(path)
     try:
         if not file.is_file():
@@ -204,7 +204,7 @@ def _read(file: Path, _modified_ns: int, _size: int) -> bytes:
 
 
 def thinned_demand(files: OwnFiles, share: float, rng: np.random.Generator) -> bytes:
-    """Return the demand with only a share of its vehicles, drawn by chance; the ego is always among them.
+    """Return the demand with a random share of its vehicles, always including the ego.
 
     Of flows, which have no vehicles of their own yet, the rate is reduced.
 

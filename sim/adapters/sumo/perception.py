@@ -32,7 +32,7 @@ _STOPPING: Final = "ryu"
 
 
 def driver_state_options(error: PerceptionError | None) -> list[str]:
-    """Return the options of SUMO that make an error what it is, for vehicles with a driver state."""
+    """Return the SUMO options that produce an error in vehicles with a driver state."""
     kind = None if error is None else error.type
     scale_s = _CORRELATION_S if kind is ErrorType.NOISE else _FOREVER_S
     sigma = error.magnitude if error is not None and kind is ErrorType.NOISE else 0.0
@@ -72,7 +72,7 @@ class Perception:
         self.acted_at_s: float | None = None
 
     def enter(self, vehicle: str) -> None:
-        """Take note of a vehicle that has entered the network."""
+        """Register a vehicle that has entered the network."""
         error = self._error
         if error is None:
             return
@@ -113,7 +113,7 @@ class Perception:
             self._let_pass(vehicle)
 
     def gap_state(self) -> float:
-        """Return by which share of its distance the ego perceives something ahead too far away."""
+        """Return the relative error in the ego's perceived distance to something ahead; positive if too far."""
         error = self._error
         if error is None or self._ego not in self._wrong or error.type in _RIGHT_DISTANCE:
             return 0.0
@@ -178,5 +178,5 @@ _RIGHT_DISTANCE: Final = (ErrorType.TOO_FAST, ErrorType.LATE)
 
 
 def _in_steps_s(time_s: float) -> float:
-    """Return the whole number of steps that is closest to a time, at least one."""
+    """Round a duration to a whole number of steps, at least one."""
     return round(max(1, round(time_s / SUMO_STEP_S)) * SUMO_STEP_S, 6)

@@ -36,7 +36,7 @@ _EPISODE_ENDED: Final = "the ego left the network before the episode began"
 
 @dataclass(slots=True, kw_only=True)
 class _Outcome:
-    """What an episode has come to so far.
+    """The result of an episode so far.
 
     Attributes:
         ended: ``time``, ``collision`` or ``goal``.
@@ -111,7 +111,7 @@ def _files(drive: Drive, spec: EpisodeSpec, folder: Path) -> list[str]:
 
 
 def _conditions(drive: Drive, spec: EpisodeSpec) -> list[str]:
-    """Return the options of SUMO that say when the traffic begins, who has a driver state, and what chance draws."""
+    """Return the SUMO options for the start of the traffic, driver states and the random seed."""
     drawn = int(generator(spec.seed, Stream.SUMO).integers(2**31 - 1))
     options = ["--seed", str(drawn), *driver_state_options(drive.error)]
     traffic = drive.traffic
@@ -191,7 +191,7 @@ class _Episode:
             raise InvalidEpisode(f"scenario.files: {reason}") if own else SimulationCrashed(_EPISODE_ENDED)
 
     def _prepare_ego(self) -> None:
-        """Make the ego what the specification says; on the networks that ship with Brink, the demand has done so."""
+        """Configure the ego as specified; on the networks that ship with Brink, the demand has already done so."""
         own, traffic = self._sumo.vehicle, self._drive.traffic
         if traffic.files is None:
             return
@@ -226,7 +226,7 @@ class _Episode:
             self.drawing.sample(sample, robustness, self._perception.gap_state())
 
     def _mean_time_loss_s(self) -> float:
-        """Return how much later than on empty roads the vehicles in the network are, on average."""
+        """Return the mean time loss of the vehicles in the network, compared with empty roads."""
         own = self._sumo.vehicle
         losses_s = [float(own.getTimeLoss(vehicle)) for vehicle in own.getIDList()]
         return sum(losses_s) / max(1, len(losses_s))

@@ -1,4 +1,4 @@
-"""What an episode of `sumo@1` is: the traffic, the error of perception, and how the ego drives.
+"""The specification of an episode of `sumo@1`: the traffic, the error of perception, and how the ego drives.
 
 Everything here can be read without SUMO installed.
 """
@@ -70,7 +70,7 @@ INCIDENT_BRAKING_MPS2: Final = (0.0, 8.0)
 
 
 class ErrorType(StrEnum):
-    """How the perception of what is ahead is wrong."""
+    """How perception of things ahead is wrong."""
 
     MISS = "miss"
     SHORT_RANGE = "short_range"
@@ -154,7 +154,7 @@ class PerceptionError:
     duration_s: float
 
     def to_json(self) -> JsonObject:
-        """Return the error as a JSON object, with the fields that its type has."""
+        """Return the error as a JSON object, with the fields of its type."""
         document: JsonObject = {
             "type": self.type.value,
             "affected": self.affected.value,
@@ -202,7 +202,7 @@ class PerceptionError:
         return f"from {self.onset_s:.1f} s on, {self.words_with(much)}{lasts}"
 
     def words_with(self, magnitude: str) -> str:
-        """Return what is wrong in words, with the magnitude as given and without the times."""
+        """Describe the error with the given magnitude and without the times."""
         return words_of_error(self.type, self.affected, magnitude)
 
 
