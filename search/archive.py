@@ -1,8 +1,11 @@
-"""All evaluated complete solutions of a campaign, with neighbour counts and fitness, updated incrementally.
+"""All evaluated complete solutions of a campaign, with neighbour counts and fitness where these are asked for.
 
-An archive is immutable: `Archive.grown` returns a new one. Adding m solutions to n computes only the m x (n + m) new
-distances; no matrix of all distances is kept. The neighbourhood of a solution holds all solutions at a distance of at
-most the radius, including itself. The comparison uses the float64 distance.
+An archive is immutable: `Archive.grown` returns a new one. The neighbourhood of a solution holds all solutions at a
+distance of at most the radius, including itself. The comparison uses the float64 distance.
+
+Neighbours are counted when they are first asked for, so a search that never asks, as it does not follow boundary
+fitness, never pays. An archive that grew from a counted one by m solutions to n computes only the m x n new
+distances; no matrix of all distances is kept.
 
 Source: Sharifi et al. 2023, section on fitness (the whole archive is rescored each generation).
 """
@@ -10,7 +13,7 @@ Source: Sharifi et al. 2023, section on fitness (the whole archive is rescored e
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol, Self, TypeAlias
+from typing import Any, Final, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,17 +27,8 @@ Float32Array: TypeAlias = NDArray[np.float32]
 
 ARRAYS: Final = ("numbers", "vectors", "unsafe", "robustness", "neighbours", "unsafe_neighbours")
 """Names of the stored arrays from which `Archive.restore` restores an archive."""
-
-
-class HasNeighbourhood(Protocol):
-    """A configuration that includes the settings of a neighbourhood."""
-
-    @property
-    def radius(self) -> float: ...  # noqa: D102  (see Neighbourhood)
-    @property
-    def p_th(self) -> float: ...  # noqa: D102
-    @property
-    def z(self) -> float: ...  # noqa: D102
+_COUNTED_AT_ONCE: Final = 1_024
+"""Solutions whose neighbours are counted at a time, among those before them and themselves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +41,8 @@ class Neighbourhood:
         z: Quantile of the standard normal for the Wilson interval, > 0.
     """
 
-    radius: float
-    p_th: float
+    radius: float = 0.3
+    p_th: float = 0.1
     z: float = Z_95
 
     def __post_init__(self) -> None:
@@ -60,9 +54,50 @@ class Neighbourhood:
             raise ValueError(f"z: expected a number > 0, got {self.z!r}")
 
     @classmethod
-    def of(cls, config: HasNeighbourhood) -> Self:
-        """Return the neighbourhood settings of a configuration."""
-        return cls(radius=config.radius, p_th=config.p_th, z=config.z)
+    def of(cls, config: object) -> Self:
+        """Return the neighbourhood settings of an algorithm's configuration; the defaults for those it lacks."""
+        return cls(**{name: getattr(config, name) for name in cls.__slots__ if hasattr(config, name)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NeighbourCounts:
+    """How many neighbours solutions have, and their boundary fitness; all arrays are read-only.
+
+    Attributes:
+        neighbours: Solutions in each neighbourhood, including the solution itself, int64, shape ``(n,)``.
+        unsafe_neighbours: Unsafe solutions in each neighbourhood, int64, shape ``(n,)``.
+        interval: Wilson interval of the unsafe share in each neighbourhood, shape ``(n, 2)``.
+        fitness: Boundary fitness in [0, 1], shape ``(n,)``.
+        latest_rows: Distances of the m solutions added last to all n, float32, shape ``(m, n)``; None unless they
+            were counted by themselves, and were to be kept.
+    """
+
+    neighbours: IntArray
+    unsafe_neighbours: IntArray
+    interval: FloatArray
+    fitness: FloatArray
+    latest_rows: Float32Array | None = None
+
+    @classmethod
+    def of(
+        cls,
+        neighbours: IntArray,
+        unsafe_neighbours: IntArray,
+        neighbourhood: Neighbourhood,
+        latest_rows: Float32Array | None = None,
+    ) -> Self:
+        """Return the counts, with intervals and fitness."""
+        lower, upper = wilson_interval(unsafe_neighbours, neighbours, neighbourhood.z)
+        return cls(
+            neighbours=_sealed(neighbours),
+            unsafe_neighbours=_sealed(unsafe_neighbours),
+            interval=_sealed(np.stack([lower, upper], axis=1)),
+            fitness=_sealed(fitness_of_interval(lower, upper, neighbourhood.p_th)),
+            latest_rows=latest_rows if latest_rows is None else _sealed(latest_rows),
+        )
+
+    def __len__(self) -> int:
+        return int(self.neighbours.size)
 
 
 def _metric(of: SearchSpace | Metric) -> Metric:
@@ -80,12 +115,6 @@ class Archive:
         vectors: Complete solutions as rows, shape ``(n, d)``.
         unsafe: Verdicts, shape ``(n,)``.
         robustness: Distance to violation, shape ``(n,)``.
-        neighbours: Solutions in each neighbourhood, including the solution itself, int64, shape ``(n,)``.
-        unsafe_neighbours: Unsafe solutions in each neighbourhood, int64, shape ``(n,)``.
-        interval: Wilson interval of the unsafe share in each neighbourhood, shape ``(n, 2)``.
-        fitness: Boundary fitness in [0, 1], shape ``(n,)``.
-        latest_rows: Distances of the m solutions added last to all n, float32, shape ``(m, n)``; None in an archive
-            that was restored or grown with ``keep_rows=False``.
     """
 
     metric: Metric
@@ -94,12 +123,11 @@ class Archive:
     vectors: FloatArray
     unsafe: BoolArray
     robustness: FloatArray
-    neighbours: IntArray
-    unsafe_neighbours: IntArray
-    interval: FloatArray
-    fitness: FloatArray
-    latest_rows: Float32Array | None
     _points: Points = field(repr=False)
+    _counts: NeighbourCounts = field(repr=False)
+    """Those of the first solutions, as counted so far."""
+    _kept_from: int | None = field(default=None, repr=False)
+    """Position of the first solution whose distances are kept in `latest_rows`; None to keep none."""
 
     def __len__(self) -> int:
         return int(self.numbers.size)
@@ -107,8 +135,7 @@ class Archive:
     @classmethod
     def empty(cls, of: SearchSpace | Metric, neighbourhood: Neighbourhood) -> Self:
         """Return an empty archive."""
-        metric = _metric(of)
-        nothing = np.empty(0)
+        metric, nothing = _metric(of), np.empty(0)
         return cls.restore(
             metric,
             neighbourhood,
@@ -116,8 +143,6 @@ class Archive:
             vectors=np.empty((0, metric.dimension)),
             unsafe=nothing,
             robustness=nothing,
-            neighbours=nothing,
-            unsafe_neighbours=nothing,
         )
 
     @classmethod
@@ -130,8 +155,8 @@ class Archive:
         vectors: FloatArray,
         unsafe: ArrayLike,
         robustness: ArrayLike,
-        neighbours: ArrayLike,
-        unsafe_neighbours: ArrayLike,
+        neighbours: ArrayLike = (),
+        unsafe_neighbours: ArrayLike = (),
     ) -> Self:
         """Restore an archive from its stored arrays, without computing any distance.
 
@@ -142,8 +167,8 @@ class Archive:
             vectors: Complete solutions as rows, shape ``(n, d)``.
             unsafe: Verdicts, shape ``(n,)``.
             robustness: Distances to violation, shape ``(n,)``.
-            neighbours: Solutions in each neighbourhood, shape ``(n,)``.
-            unsafe_neighbours: Unsafe solutions in each neighbourhood, shape ``(n,)``.
+            neighbours: Solutions in each neighbourhood, shape ``(n,)``; none if they were not counted.
+            unsafe_neighbours: Unsafe solutions in each neighbourhood, as many.
 
         Raises:
             ValueError: The shapes differ, or a count exceeds n.
@@ -154,27 +179,30 @@ class Archive:
             "numbers": frozen_array(numbers, np.int64),
             "unsafe": frozen_array(unsafe, np.bool_),
             "robustness": frozen_array(robustness),
+        }
+        counts: dict[str, NDArray[Any]] = {
             "neighbours": frozen_array(neighbours, np.int64),
             "unsafe_neighbours": frozen_array(unsafe_neighbours, np.int64),
         }
-        for name, column in columns.items():
-            if column.shape != rows.shape[:1]:
-                raise ValueError(f"{name}: expected shape {rows.shape[:1]}, got {column.shape}")
-        if (columns["neighbours"] > len(rows)).any():
-            most = int(columns["neighbours"].max())
+        counted = rows.shape[:1] if any(column.size for column in counts.values()) else (0,)
+        for name, column in (columns | counts).items():
+            expected = counted if name in counts else rows.shape[:1]
+            if column.shape != expected:
+                raise ValueError(f"{name}: expected shape {expected}, got {column.shape}")
+        if (counts["neighbours"] > len(rows)).any():
+            most = int(counts["neighbours"].max())
             raise ValueError(
                 f"neighbours: expected counts of at most {len(rows)}, the number of solutions; got {most}"
             )
-        interval, fitness = _scores(columns["unsafe_neighbours"], columns["neighbours"], neighbourhood)
         return cls(
             metric=metric,
             neighbourhood=neighbourhood,
+            numbers=columns["numbers"],
             vectors=rows,
-            interval=interval,
-            fitness=fitness,
-            latest_rows=None,
+            unsafe=columns["unsafe"],
+            robustness=columns["robustness"],
             _points=metric.points(rows),
-            **columns,
+            _counts=NeighbourCounts.of(counts["neighbours"], counts["unsafe_neighbours"], neighbourhood),
         )
 
     def grown(
@@ -186,7 +214,7 @@ class Archive:
         *,
         keep_rows: bool = True,
     ) -> "Archive":
-        """Return an archive with m more solutions and with all counts and fitness updated.
+        """Return an archive with m more solutions; neighbours are counted when they are asked for.
 
         Args:
             numbers: Candidate numbers, shape ``(m,)``.
@@ -213,49 +241,86 @@ class Archive:
             raise ValueError(
                 "numbers: expected each candidate once; some are repeated or already in the archive"
             )
-        all_unsafe = np.concatenate([self.unsafe, new_unsafe])
-        new_points = self.metric.points(rows)
-        points = self._points.followed_by(new_points)
-        kept = np.empty((len(new_points), len(points)), np.float32) if keep_rows else None
-        neighbours, unsafe_neighbours = self._neighbour_counts(new_points, points, all_unsafe, kept)
-        interval, fitness = _scores(unsafe_neighbours, neighbours, self.neighbourhood)
-        if kept is not None:
-            kept.flags.writeable = False
         return Archive(
             metric=self.metric,
             neighbourhood=self.neighbourhood,
             numbers=_sealed(all_numbers),
             vectors=_sealed(np.concatenate([self.vectors, rows])),
-            unsafe=_sealed(all_unsafe),
+            unsafe=_sealed(np.concatenate([self.unsafe, new_unsafe])),
             robustness=_sealed(np.concatenate([self.robustness, new_robustness])),
-            neighbours=_sealed(neighbours),
-            unsafe_neighbours=_sealed(unsafe_neighbours),
-            interval=interval,
-            fitness=fitness,
-            latest_rows=kept,
-            _points=points,
+            _points=self._points.followed_by(self.metric.points(rows)),
+            _counts=self._counts,
+            _kept_from=len(self) if keep_rows else None,
         )
 
-    def _neighbour_counts(
-        self, new: Points, everything: Points, unsafe: BoolArray, kept: Float32Array | None
-    ) -> tuple[IntArray, IntArray]:
-        """Return how many neighbours, and unsafe neighbours, every point has; store the new distances in `kept`."""
-        known = len(self)
-        totals = np.zeros((len(everything), 2), np.int64)
-        totals[:known] = np.stack([self.neighbours, self.unsafe_neighbours], axis=1)
+    @property
+    def counts(self) -> NeighbourCounts:
+        """The neighbours of all solutions, counted now unless they were before."""
+        if not self.is_counted:
+            object.__setattr__(self, "_counts", self._counted())
+        return self._counts
+
+    @property
+    def is_counted(self) -> bool:
+        """Whether the neighbours of all solutions have been counted."""
+        return len(self._counts) == len(self)
+
+    @property
+    def neighbours(self) -> IntArray:
+        """Solutions in each neighbourhood; see `NeighbourCounts`."""
+        return self.counts.neighbours
+
+    @property
+    def unsafe_neighbours(self) -> IntArray:
+        """Unsafe solutions in each neighbourhood; see `NeighbourCounts`."""
+        return self.counts.unsafe_neighbours
+
+    @property
+    def interval(self) -> FloatArray:
+        """Intervals of the unsafe shares; see `NeighbourCounts`."""
+        return self.counts.interval
+
+    @property
+    def fitness(self) -> FloatArray:
+        """Boundary fitness; see `NeighbourCounts`."""
+        return self.counts.fitness
+
+    def _counted(self) -> NeighbourCounts:
+        """Return the counts of all solutions: those counted before, and the neighbours of the others."""
+        first, size = len(self._counts), len(self)
+        totals = np.zeros((size, 2), np.int64)
+        totals[:first] = np.stack([self._counts.neighbours, self._counts.unsafe_neighbours], axis=1)
+        kept = np.empty((size - first, size), np.float32) if self._kept_from == first else None
+        step = _COUNTED_AT_ONCE if kept is None else size
+        for start in range(first, size, step):
+            self._count(start, min(start + step, size), totals, kept)
+        neighbours, unsafe_neighbours = np.ascontiguousarray(totals.T)
+        return NeighbourCounts.of(neighbours, unsafe_neighbours, self.neighbourhood, kept)
+
+    def _count(self, start: int, stop: int, totals: IntArray, kept: Float32Array | None) -> None:
+        """Add the neighbours of the solutions from `start` to `stop` to the counts of all solutions up to `stop`.
+
+        Args:
+            start: Position of the first solution.
+            stop: Position after the last one.
+            totals: Neighbours and unsafe neighbours of all solutions, shape ``(n, 2)``.
+            kept: Where to store the distances, shape ``(stop - start, n)``.
+        """
+        points = self._points
         # The first column counts all solutions, the second the unsafe ones. Products of zeros and ones in float32 are
         # exact, whatever the order of summation, as long as no count within a block exceeds 2**24.
-        weights = np.stack([np.ones(len(everything)), unsafe], axis=1).astype(np.float32)
-        for rows, columns, block in self.metric.blocks(new, everything):
+        weights = np.stack([np.ones(stop), self.unsafe[:stop]], axis=1).astype(np.float32)
+        for rows, columns, block in self.metric.blocks(
+            points.take(slice(start, stop)), points.take(slice(stop))
+        ):
             near = (block <= self.neighbourhood.radius).astype(np.float32)
             if kept is not None:
                 kept[rows, columns] = block
-            added = slice(known + rows.start, known + rows.stop)
+            added = slice(start + rows.start, start + rows.stop)
             totals[added] += (near @ weights[columns]).astype(np.int64)
-            old = slice(columns.start, min(columns.stop, known))
+            old = slice(columns.start, min(columns.stop, start))
             if old.stop > old.start:
                 totals[old] += (near[:, : old.stop - old.start].T @ weights[added]).astype(np.int64)
-        return np.ascontiguousarray(totals[:, 0]), np.ascontiguousarray(totals[:, 1])
 
     def distances(
         self, rows: Sequence[int] | NDArray[np.intp], columns: Sequence[int] | NDArray[np.intp]
@@ -267,7 +332,7 @@ class Archive:
 
     def first(self, count: int) -> "Archive":
         """Return the archive as it was after its first `count` solutions."""
-        if 2 * count < len(self):
+        if 2 * count < len(self) or not self.is_counted:
             return self._rebuilt(slice(count), self.unsafe[:count], self.robustness[:count])
         # Few solutions are left out: subtracting them takes fewer distances than counting all others again.
         kept = np.arange(min(count, len(self)))
@@ -305,22 +370,14 @@ def _sealed(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
-def _scores(
-    unsafe_neighbours: IntArray, neighbours: IntArray, neighbourhood: Neighbourhood
-) -> tuple[FloatArray, FloatArray]:
-    """Return the intervals, shape ``(n, 2)``, and the fitness, shape ``(n,)``, of all solutions."""
-    lower, upper = wilson_interval(unsafe_neighbours, neighbours, neighbourhood.z)
-    fitness = fitness_of_interval(lower, upper, neighbourhood.p_th)
-    return _sealed(np.stack([lower, upper], axis=1)), _sealed(fitness)
-
-
 def archive_digest(archive: Archive) -> str:
     """Return the SHA-256 of an archive's candidate numbers, solutions, verdicts and fitness, as hexadecimal digits.
 
     The hash covers, in this order and little-endian: the text ``brink-archive-1`` and a newline; the numbers of
     solutions n and of parameters d, each int64; the candidate numbers, n int64; the vectors, n x d float64 row by
     row; the verdicts, n bytes, 1 for unsafe; the fitness, n float64. Counts are left out because they determine the
-    fitness, and robustness because the search does not use it.
+    fitness, and robustness because the search does not use it. The fitness is computed for the digest if the search
+    does not use it.
     """
     rows, columns = archive.vectors.shape
     digest = hashlib.sha256(b"brink-archive-1\n")

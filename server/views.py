@@ -95,13 +95,19 @@ class SolutionView(View):
         str | None,
         Field(description="How it was generated: random, heuristic, mutation, crossover, llm, llm_repair."),
     ]
-    fitness: float | None
-    neighbours: int | None
-    unsafe_neighbours: int | None
+    fitness: Annotated[
+        float | None,
+        Field(
+            description="Boundary fitness; null, like the neighbour counts, before it is evaluated, and of searches "
+            "that do not find a boundary."
+        ),
+    ] = None
+    neighbours: int | None = None
+    unsafe_neighbours: int | None = None
     interval: Annotated[
         tuple[float, float] | None,
         Field(description="Wilson interval of the unsafe share in its neighbourhood."),
-    ]
+    ] = None
     seed: int
     attempts: int | None
     losses: Annotated[int | None, Field(description="Attempts among them whose worker stopped responding.")]

@@ -194,9 +194,9 @@ class CampaignDisplay(LiveDisplay):
             rows = [row for row in rows if row[0] != "criticality"]
         if progress.is_for("pairs"):  # fitness and boundary are not what it looks for
             rows = [row for row in rows if row[0] != "best fitness"]
-        elif "boundary" in progress.finds:
+        elif progress.is_for("boundary"):
             boundary = f"{last.dbs} distinct, {last.strict_dbs} strict" if last else "–"
-            rows.insert(2, ("boundary", boundary, spark([one.dbs for one in self._series])))
+            rows.insert(2, ("boundary", boundary, spark([one.dbs or 0 for one in self._series])))
         if progress.measured:
             rows.append(("on data", f"{progress.measured} measured   simulated {progress.evaluated}", ""))
         if failures_of(progress):

@@ -300,10 +300,10 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
     )
     if progress.is_for("pairs"):
         screen.print(where_pairs_are(progress, place), soft_wrap=True)
-    elif series and "boundary" in progress.finds:
+    elif series and progress.is_for("boundary"):
         screen.print(
             f"boundary: {series[-1].dbs} distinct, {series[-1].strict_dbs} strict (fitness at most "
-            f"{progress.t_b:g}, {progress.d_th:g} apart) {spark([one.dbs for one in series])}"
+            f"{progress.t_b:g}, {progress.d_th:g} apart) {spark([one.dbs or 0 for one in series])}"
         )
     screen.print(
         f"jobs: {progress.queued} queued, {progress.leased} leased, {progress.quarantined} quarantined; "

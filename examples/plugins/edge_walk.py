@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from brink.search.algorithms.ledger import BoundaryConfig, LedgerAlgorithm, LedgerState
+from brink.search.algorithms.ledger import BoundaryConfig, BoundaryState, LedgerAlgorithm
 from brink.search.operators import mutated
 from brink.search.settings import setting
 from brink.search.streams import Stream, generator
@@ -24,7 +24,7 @@ class EdgeWalkConfig(BoundaryConfig):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EdgeWalkState(LedgerState):
+class EdgeWalkState(BoundaryState):
     """State of the walk: the ledger of candidates alone."""
 
     config: EdgeWalkConfig

@@ -21,8 +21,8 @@ from brink.search.algorithms.ledger import (
     MAX_BREEDINGS,
     MAX_RESTARTS,
     BoundaryConfig,
+    BoundaryState,
     Ledger,
-    LedgerState,
     WarmLedgerAlgorithm,
     leading_rows,
     stored_rows,
@@ -48,7 +48,7 @@ class GeneticAlgorithmConfig(BoundaryConfig):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GeneticAlgorithmState(LedgerState):
+class GeneticAlgorithmState(BoundaryState):
     """State of the genetic algorithm.
 
     Attributes:

@@ -49,12 +49,15 @@ AGGREGATES: Final[Mapping[str, Callable[[Sequence[float]], float]]] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BoundaryConfig:
-    """Settings of every algorithm: the neighbourhood in which an archive estimates the unsafe share."""
+class LedgerConfig:
+    """Settings of every built-in algorithm: the neighbourhood in which an archive estimates the unsafe share.
+
+    Unless the search is led by boundary fitness (`BoundaryConfig`), they only say how the archive is shown.
+    """
 
     by_criticality: ClassVar[bool] = False
     """Whether the search is led by the criticality of solutions."""
-    unused: ClassVar[tuple[str, ...]] = ()
+    unused: ClassVar[tuple[str, ...]] = ("radius", "p_th", "z")
     """Settings that do not affect the search. Campaigns may have them, but forms and lists do not offer them."""
 
     radius: float = setting(
@@ -80,8 +83,11 @@ class BoundaryConfig:
         check_settings(self)
 
 
-NEIGHBOURHOOD: Final = ("radius", "p_th", "z")
-"""The settings that only a search led by boundary fitness uses; of others, they say how the archive is shown."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoundaryConfig(LedgerConfig):
+    """Settings of every algorithm that is led by boundary fitness, or compared with one that is."""
+
+    unused: ClassVar[tuple[str, ...]] = ()
 
 
 def row_keys(rows: FloatArray) -> list[bytes]:
@@ -132,7 +138,7 @@ class Ledger:
 
     @classmethod
     def start(
-        cls, space: SearchSpace, config: BoundaryConfig, *, seed: int, budget: int, known: Known | None = None
+        cls, space: SearchSpace, config: LedgerConfig, *, seed: int, budget: int, known: Known | None = None
     ) -> Self:
         """Return an empty ledger.
 
@@ -338,7 +344,7 @@ class Ledger:
         )
 
     @classmethod
-    def load(cls, space: SearchSpace, config: BoundaryConfig, document: Document, archive: Archive) -> Self:
+    def load(cls, space: SearchSpace, config: LedgerConfig, document: Document, archive: Archive) -> Self:
         """Return the ledger that `dump` stored.
 
         Args:
@@ -502,8 +508,8 @@ class LedgerState:
 
     @property
     def fitness(self) -> FloatArray:
-        """Boundary fitness of all archived solutions, known results counted as neighbours, shape ``(n,)``."""
-        return self.ledger.evidence.fitness[: len(self.archive)]
+        """Values that the search currently minimises, shape ``(n,)``; none by default."""
+        return np.empty(0)
 
     @property
     def pending(self) -> tuple[Candidate, ...]:
@@ -511,7 +517,17 @@ class LedgerState:
         return self.ledger.pending
 
 
-C = TypeVar("C", bound=BoundaryConfig)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoundaryState(LedgerState):
+    """Base class of the states of algorithms that are led by boundary fitness, or compared with one that is."""
+
+    @property
+    def fitness(self) -> FloatArray:
+        """Boundary fitness of all archived solutions, known results counted as neighbours, shape ``(n,)``."""
+        return self.ledger.evidence.fitness[: len(self.archive)]
+
+
+C = TypeVar("C", bound=LedgerConfig)
 S = TypeVar("S", bound=LedgerState)
 
 

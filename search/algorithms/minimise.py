@@ -13,16 +13,15 @@ Source: ours; docs/explanation/pairs.md. Reverting differences one by one is the
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from brink.search.algorithm import Evaluation, Scored
 from brink.search.algorithms.ledger import (
-    NEIGHBOURHOOD,
-    BoundaryConfig,
     Ledger,
     LedgerAlgorithm,
+    LedgerConfig,
     LedgerState,
     check_given_rows,
     check_seed_numbers,
@@ -36,10 +35,8 @@ from brink.search.space import BoolArray, FloatArray, SearchSpace, frozen_array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MinimiseConfig(BoundaryConfig):
+class MinimiseConfig(LedgerConfig):
     """Settings of the reduction of pairs."""
-
-    unused: ClassVar[tuple[str, ...]] = NEIGHBOURHOOD
 
     safe: list[list[float]] = field(
         default_factory=list, metadata={"help": "Safe sides of the pairs, each as a row of its numbers."}
@@ -230,11 +227,6 @@ class MinimiseState(LedgerState):
 
     config: MinimiseConfig
     reductions: Reductions
-
-    @property
-    def fitness(self) -> FloatArray:
-        """An empty array, as nothing is minimised but the pairs."""
-        return np.empty(0)
 
 
 class Minimise(LedgerAlgorithm[MinimiseConfig, MinimiseState]):

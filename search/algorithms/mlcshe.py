@@ -27,8 +27,8 @@ from brink.search.algorithms.ledger import (
     MAX_BREEDINGS,
     MAX_RESTARTS,
     BoundaryConfig,
+    BoundaryState,
     Ledger,
-    LedgerState,
     WarmLedgerAlgorithm,
     leading_rows,
     row_keys,
@@ -118,7 +118,7 @@ class Population:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MlcsheState(LedgerState):
+class MlcsheState(BoundaryState):
     """State of MLCSHE.
 
     Attributes:

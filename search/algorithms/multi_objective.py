@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Final, Self, TypeAlias, TypeVar
 import numpy as np
 
 from brink.search.algorithm import Candidate, Evaluation, Origin, Scored
-from brink.search.algorithms.ledger import NEIGHBOURHOOD, BoundaryConfig, Ledger, LedgerState, stored_rows
+from brink.search.algorithms.ledger import Ledger, LedgerConfig, LedgerState, stored_rows
 from brink.search.document import Document
 from brink.search.errors import DocumentError
 from brink.search.pareto import ranks_and_crowding, survivors
@@ -40,11 +40,10 @@ def gap_objective(participant: int) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MultiObjectiveConfig(BoundaryConfig):
+class MultiObjectiveConfig(LedgerConfig):
     """Settings of all multi-objective searches."""
 
     by_criticality: ClassVar[bool] = True
-    unused: ClassVar[tuple[str, ...]] = NEIGHBOURHOOD
 
     population_size: int = setting(
         50, help="Solutions in the population, and children per generation.", ge=4, le=1_000

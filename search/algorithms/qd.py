@@ -31,14 +31,7 @@ from typing import Any, ClassVar, Final, assert_never
 import numpy as np
 
 from brink.search.algorithm import Candidate, Evaluation, Niche, Origin, Scored
-from brink.search.algorithms.ledger import (
-    NEIGHBOURHOOD,
-    BoundaryConfig,
-    Ledger,
-    LedgerAlgorithm,
-    LedgerState,
-    stored_rows,
-)
+from brink.search.algorithms.ledger import Ledger, LedgerAlgorithm, LedgerConfig, LedgerState, stored_rows
 from brink.search.algorithms.multi_objective import Child, stored_origins
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError
@@ -92,11 +85,10 @@ _ORIGINS: Final[Mapping[Operator, Origin]] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class QdConfig(BoundaryConfig):
+class QdConfig(LedgerConfig):
     """Settings of MAP-Elites; the shares are relative to each other."""
 
     by_criticality: ClassVar[bool] = True
-    unused: ClassVar[tuple[str, ...]] = NEIGHBOURHOOD
 
     generation_size: int = setting(30, help="Solutions per generation.", ge=1, le=1_000)
     in_flight: int = setting(

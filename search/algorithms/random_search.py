@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from brink.search.algorithm import Evaluation
-from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, WarmLedgerAlgorithm
+from brink.search.algorithms.ledger import BoundaryConfig, BoundaryState, Ledger, WarmLedgerAlgorithm
 from brink.search.document import Document
 from brink.search.settings import setting
 from brink.search.space import FloatArray, SearchSpace
@@ -28,7 +28,7 @@ class RandomSearchConfig(BoundaryConfig):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RandomSearchState(LedgerState):
+class RandomSearchState(BoundaryState):
     """State of random search: the ledger alone."""
 
     config: RandomSearchConfig

@@ -22,9 +22,9 @@ import numpy as np
 
 from brink.search.algorithm import Evaluation
 from brink.search.algorithms.ledger import (
-    BoundaryConfig,
     Ledger,
     LedgerAlgorithm,
+    LedgerConfig,
     LedgerState,
     check_given_rows,
     check_seed_numbers,
@@ -40,7 +40,7 @@ GENERATION_SIZE: Final = 120
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RepeatsConfig(BoundaryConfig):
+class RepeatsConfig(LedgerConfig):
     """Settings of repeats."""
 
     solutions: list[list[float]] = field(
@@ -71,11 +71,6 @@ class RepeatsState(LedgerState):
     """State of repeats: the ledger alone."""
 
     config: RepeatsConfig
-
-    @property
-    def fitness(self) -> FloatArray:
-        """An empty array, as nothing is minimised."""
-        return np.empty(0)
 
 
 class Repeats(LedgerAlgorithm[RepeatsConfig, RepeatsState]):

@@ -34,9 +34,9 @@ import numpy as np
 
 from brink.search.algorithm import Candidate, Evaluation, Failed, Question
 from brink.search.algorithms.ledger import (
-    BoundaryConfig,
     Ledger,
     LedgerAlgorithm,
+    LedgerConfig,
     LedgerState,
     row_keys,
     stored_rows,
@@ -67,7 +67,7 @@ class Stage(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SimoodConfig(BoundaryConfig):
+class SimoodConfig(LedgerConfig):
     """Settings of SiMOOD."""
 
     generations: int = setting(20, help="Generations after the first population (g).", ge=0, le=10_000)

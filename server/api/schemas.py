@@ -71,8 +71,14 @@ class GenerationView(View):
         float | None, Field(description="Best value of the quantity that the algorithm minimises.")
     ]
     median_fitness: float | None
-    dbs: int
-    strict_dbs: int
+    dbs: Annotated[
+        int | None,
+        Field(
+            description="Distinct boundary solutions at the default thresholds. Of a search that is not for the "
+            "boundary, they are counted after the last generation only; null before."
+        ),
+    ]
+    strict_dbs: int | None
     step_s: float
     told_at: datetime
 

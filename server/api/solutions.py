@@ -66,11 +66,11 @@ async def get_solutions(
         rows = await services.pages.read(
             services.engines, lambda c: view_store.read_solutions(c, campaign.id, numbers)
         )
-    return await services.pages.run(lambda: _page(rows, found, limit))
+    return await services.pages.run(lambda: _page(rows, found, limit, rated=max_fitness is not None))
 
 
-def _page(rows: Sequence[Row[*tuple[Any, ...]]], found: ReadArchive, limit: int) -> Response:
-    views = solution_views(rows, found)
+def _page(rows: Sequence[Row[*tuple[Any, ...]]], found: ReadArchive, limit: int, *, rated: bool) -> Response:
+    views = solution_views(rows, found, rated=rated)
     return json_response(
         SolutionPage(solutions=views, next=views[-1].number if len(views) == limit else None)
     )
@@ -181,8 +181,8 @@ def _archive_file(services: Context, campaign: Campaign) -> Response:
         unsafe=stored.unsafe,
         robustness=stored.robustness,
         generations=stored.generations,
-        neighbours=stored.neighbours,
-        unsafe_neighbours=stored.unsafe_neighbours,
+        neighbours=archive.neighbours,
+        unsafe_neighbours=archive.unsafe_neighbours,
         fitness=archive.fitness,
         recorded=activity.recorded,
         active=activity.active,

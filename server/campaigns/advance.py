@@ -37,7 +37,7 @@ from brink.search.algorithm import (
     Seeded,
     SeedRequest,
 )
-from brink.search.analysis.boundary import distinct_boundary, has_evidence
+from brink.search.analysis.boundary import IndexArray, distinct_boundary, has_evidence
 from brink.search.archive import Archive
 from brink.search.document import Document
 from brink.search.errors import OtherVersion
@@ -371,7 +371,11 @@ class Stepper:
         if proposals is None:
             return False
         seeded = algorithm.seeded(live.state, proposals)
-        checkpoint = of_state(plan, "state", lambda: _checkpoint(plan, seeded, campaign.generation))
+        checkpoint = of_state(
+            plan,
+            "state",
+            lambda: _checkpoint(plan, seeded, campaign.generation, counted=plan.is_for("boundary")),
+        )
         after, asked = next_piece(replace(live, state=seeded))
         written = self._writer.submit(
             lambda connection: step_store.write_seeded(connection, campaign, checkpoint, asked)
@@ -453,8 +457,9 @@ class Stepper:
         began: float,
     ) -> Step:
         archive: Archive = told.archive
-        boundary = distinct_boundary(archive, DEFAULT_T_B, DEFAULT_D_TH)
-        strict = np.count_nonzero(has_evidence(archive)[boundary])
+        # Neighbours are counted with each generation only for a search that is led by them.
+        counted = plan.is_for("boundary") or finished
+        boundary = distinct_boundary(archive, DEFAULT_T_B, DEFAULT_D_TH) if counted else None
         fitness = told.fitness
         summary = GenerationSummary(
             number=campaign.generation,
@@ -464,8 +469,8 @@ class Stepper:
             measured=campaign.measured + sum(isinstance(e, Measured) for e in evaluations.values()),
             best_fitness=_finite(fitness.min()) if fitness.size else None,
             median_fitness=_finite(np.median(fitness)) if fitness.size else None,
-            dbs=len(boundary),
-            strict_dbs=int(strict),
+            dbs=None if boundary is None else len(boundary),
+            strict_dbs=None if boundary is None else int(np.count_nonzero(has_evidence(archive)[boundary])),
             step_s=time.perf_counter() - began,
         )
         status, reason = _status_after(summary, evaluations, finished=finished)
@@ -477,16 +482,16 @@ class Stepper:
             ],
             without_result=without_result,
             summary=summary,
-            block=self._distance_block(archive),
-            checkpoint=_checkpoint(plan, told, campaign.generation + 1),
+            block=self._distance_block(archive) if plan.is_for("boundary") else None,
+            checkpoint=_checkpoint(plan, told, campaign.generation + 1, counted=counted),
             asked=asked,
-            traces=self._evidence(campaign, plan, archive, boundary) if finished else (),
+            traces=() if boundary is None or not finished else _evidence(campaign, plan, archive, boundary),
             status=status,
             reason=reason,
         )
 
     def _distance_block(self, archive: Archive) -> DistanceBlock | None:
-        rows = archive.latest_rows
+        rows = archive.counts.latest_rows
         if rows is None or len(archive) > self._max_stored_distances:
             return None
         data = rows.astype("<f4").tobytes()
@@ -498,12 +503,6 @@ class Stepper:
             data=data,
             sha256=hashlib.sha256(data).hexdigest(),
         )
-
-    def _evidence(self, campaign: Campaign, plan: Plan, archive: Archive, boundary: Any) -> list[int]:
-        """Return the numbers of the best distinct boundary solutions, whose traces are recorded."""
-        if isinstance(plan.problem, InProcessProblem):
-            return []
-        return [int(number) for number in archive.numbers[boundary][: campaign.body.execution.keep_traces]]
 
     def _repeats(self, campaign: Campaign, plan: Plan, archive: Archive) -> PlannedRepeats | None:
         """Return the repeats that the campaign's body asks for after the search, if any."""
@@ -583,15 +582,29 @@ def _is_open(outcomes: Iterable[JobOutcome]) -> bool:
     return any(outcome.status in (JobStatus.QUEUED, JobStatus.LEASED) for outcome in outcomes)
 
 
-def _checkpoint(plan: Plan, state: Any, generation: int) -> Checkpoint:
-    """Return the checkpoint of a state on which `ask` has not been called since the last `tell`."""
+def _checkpoint(plan: Plan, state: Any, generation: int, *, counted: bool) -> Checkpoint:
+    """Return the checkpoint of a state on which `ask` has not been called since the last `tell`.
+
+    Args:
+        plan: The campaign's plan.
+        state: The state.
+        generation: Number of generations told.
+        counted: Whether to store the neighbour counts of its archive.
+    """
     archive: Archive = state.archive
     return Checkpoint(
         generation=generation,
         document=plan.algorithm.dump(state).to_bytes(),
-        neighbours=archive.neighbours.astype("<i8").tobytes(),
-        unsafe_neighbours=archive.unsafe_neighbours.astype("<i8").tobytes(),
+        neighbours=archive.neighbours.astype("<i8").tobytes() if counted else b"",
+        unsafe_neighbours=archive.unsafe_neighbours.astype("<i8").tobytes() if counted else b"",
     )
+
+
+def _evidence(campaign: Campaign, plan: Plan, archive: Archive, boundary: IndexArray) -> list[int]:
+    """Return the numbers of the best distinct boundary solutions, whose traces are recorded."""
+    if isinstance(plan.problem, InProcessProblem):
+        return []
+    return [int(number) for number in archive.numbers[boundary][: campaign.body.execution.keep_traces]]
 
 
 def _finite(value: float) -> float | None:

@@ -99,7 +99,10 @@ class DistanceBlock:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Checkpoint:
-    """The algorithm's state after a `tell`, and the neighbour counts of its archive as little-endian int64."""
+    """The algorithm's state after a `tell`, and the neighbour counts of its archive as little-endian int64.
+
+    The counts are empty if the search does not use them: they are then counted when they are asked for.
+    """
 
     generation: int
     document: bytes
@@ -113,7 +116,10 @@ class Checkpoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenerationSummary:
-    """A completed generation: the campaign's counts and scores after it."""
+    """A completed generation: the campaign's counts and scores after it.
+
+    Of a search that is not for the boundary, boundary solutions are counted after the last generation only.
+    """
 
     number: int
     evaluated: int
@@ -122,8 +128,8 @@ class GenerationSummary:
     measured: int
     best_fitness: float | None
     median_fitness: float | None
-    dbs: int
-    strict_dbs: int
+    dbs: int | None
+    strict_dbs: int | None
     step_s: float
     told_at: datetime | None = None
 

@@ -288,7 +288,11 @@ def _read_sparklines(
         numbers = sorted({number for campaign in some for number in wanted[campaign]})
         query = (
             select(GenerationRow.campaign_id, GenerationRow.number, GenerationRow.dbs)
-            .where(GenerationRow.campaign_id.in_(some), GenerationRow.number.in_(numbers))
+            .where(
+                GenerationRow.campaign_id.in_(some),
+                GenerationRow.number.in_(numbers),
+                GenerationRow.dbs.is_not(None),
+            )
             .order_by(GenerationRow.campaign_id, GenerationRow.number)
         )
         for row in connection.execute(query):

@@ -176,8 +176,9 @@ class GenerationRow(Base):
     measured: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")
     best_fitness: Mapped[float | None]
     median_fitness: Mapped[float | None]
-    dbs: Mapped[int] = mapped_column(Integer)
-    strict_dbs: Mapped[int] = mapped_column(Integer)
+    dbs: Mapped[int | None] = mapped_column(Integer)
+    """Distinct boundary solutions, if they were counted; see `GenerationSummary`."""
+    strict_dbs: Mapped[int | None] = mapped_column(Integer)
     step_s: Mapped[float]
     told_at: Mapped[datetime]
 
@@ -226,7 +227,7 @@ class KnownSolutionRow(Base):
 
 
 class CheckpointRow(Base):
-    """The algorithm's state after the last `tell`, with the neighbour counts of its archive."""
+    """The algorithm's state after the last `tell`, with the neighbour counts of its archive if it has them."""
 
     __tablename__ = "checkpoints"
 

@@ -9,7 +9,7 @@ from pydantic import Field
 from sqlalchemy import Connection, Row
 
 from brink.search.analysis.avoidable import avoidable_of, avoided_by_of
-from brink.search.archive import Archive
+from brink.search.archive import NeighbourCounts
 from brink.search.deadline import check_time
 from brink.search.parameters import Categorical
 from brink.search.space import SearchSpace
@@ -32,6 +32,7 @@ def solutions_of(
     numbers: Sequence[int],
     *,
     full: bool = False,
+    rated: bool = False,
 ) -> list[SolutionView]:
     """Return the response schemas of solutions of a campaign by their numbers.
 
@@ -41,6 +42,7 @@ def solutions_of(
         read: Its archive.
         numbers: Evaluated solutions, in the order in which to return them.
         full: Whether to add all verdicts, features, provenance and the episode.
+        rated: See `solution_views`.
 
     Raises:
         NotFound: The campaign was deleted meanwhile.
@@ -48,11 +50,11 @@ def solutions_of(
     rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers)}
     if len(rows) < len(numbers):
         raise NotFound(f"campaign {campaign.id}: no such campaign")
-    return solution_views([rows[number] for number in numbers], read, full=full)
+    return solution_views([rows[number] for number in numbers], read, full=full, rated=rated)
 
 
 def solution_views(
-    rows: Iterable[Row[*tuple[Any, ...]]], read: ReadArchive, *, full: bool = False
+    rows: Iterable[Row[*tuple[Any, ...]]], read: ReadArchive, *, full: bool = False, rated: bool = False
 ) -> list[SolutionView]:
     """Return the response schemas of solutions: decoded parameters and values from the archive.
 
@@ -60,16 +62,23 @@ def solution_views(
         rows: Database rows of the solutions.
         read: The campaign's archive.
         full: Whether to add all verdicts, features, provenance and the episode.
+        rated: Whether to add neighbour counts and boundary fitness although the search does not find a boundary.
     """
     views = []
+    counts = read.archive.counts if rated or "boundary" in read.plan.finds else None
     for row in rows:
         check_time()
-        views.append(_solution(row, read.plan.problem, read.archive, read.places.get(row.number), full=full))
+        views.append(_solution(row, read.plan.problem, counts, read.places.get(row.number), full=full))
     return views
 
 
 def _solution(
-    row: Row[*tuple[Any, ...]], problem: Problem, archive: Archive, index: int | None, *, full: bool
+    row: Row[*tuple[Any, ...]],
+    problem: Problem,
+    counts: NeighbourCounts | None,
+    index: int | None,
+    *,
+    full: bool,
 ) -> SolutionView:
     result: Mapping[str, Any] = json.loads(row.result) if row.result else {}
     vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
@@ -83,12 +92,7 @@ def _solution(
         failure=row.failure,
         origin=row.origin,
         **_outcome(row, problem, result),
-        fitness=None if index is None else float(archive.fitness[index]),
-        neighbours=None if index is None else int(archive.neighbours[index]),
-        unsafe_neighbours=None if index is None else int(archive.unsafe_neighbours[index]),
-        interval=None
-        if index is None
-        else (float(archive.interval[index, 0]), float(archive.interval[index, 1])),
+        **({} if counts is None or index is None else _rating(counts, index)),
         seed=row.seed,
         attempts=row.attempt,
         losses=row.losses,
@@ -101,6 +105,16 @@ def _solution(
         provenance=result.get("provenance") if full else None,
         spec=json.loads(row.spec) if full and row.spec else None,
     )
+
+
+def _rating(counts: NeighbourCounts, index: int) -> Mapping[str, Any]:
+    """Return the fields that say how near to the boundary the solution at a position of the archive is."""
+    return {
+        "fitness": float(counts.fitness[index]),
+        "neighbours": int(counts.neighbours[index]),
+        "unsafe_neighbours": int(counts.unsafe_neighbours[index]),
+        "interval": tuple(counts.interval[index].tolist()),
+    }
 
 
 def _titles(space: SearchSpace) -> dict[str, str]:

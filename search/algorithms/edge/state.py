@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import ClassVar, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from brink.search.algorithms.edge.prior import Prior
-from brink.search.algorithms.ledger import NEIGHBOURHOOD, BoundaryConfig, LedgerState
+from brink.search.algorithms.ledger import LedgerConfig, LedgerState
 from brink.search.archive import Archive
 from brink.search.settings import setting
 from brink.search.space import BoolArray, FloatArray, SearchSpace
@@ -58,10 +58,8 @@ class Status(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class EdgeConfig(BoundaryConfig):
+class EdgeConfig(LedgerConfig):
     """Settings of the search for pairs."""
-
-    unused: ClassVar[tuple[str, ...]] = NEIGHBOURHOOD
 
     eps: float = setting(
         0.02,

@@ -1,17 +1,14 @@
 """The settings of `tolerance@1`."""
 
 from dataclasses import dataclass, field
-from typing import ClassVar
 
-from brink.search.algorithms.ledger import NEIGHBOURHOOD, BoundaryConfig
+from brink.search.algorithms.ledger import LedgerConfig
 from brink.search.settings import setting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ToleranceConfig(BoundaryConfig):
+class ToleranceConfig(LedgerConfig):
     """Settings of the search for tolerances."""
-
-    unused: ClassVar[tuple[str, ...]] = NEIGHBOURHOOD
 
     cells: dict[str, list[str]] = field(
         default_factory=dict,

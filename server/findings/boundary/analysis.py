@@ -71,7 +71,7 @@ def boundary_view(
             for row, t in enumerate(grid.t_bs)
             for column, d in enumerate(grid.d_ths)
         ],
-        solutions=solutions_of(connection, campaign, read, numbers, full=True),
+        solutions=solutions_of(connection, campaign, read, numbers, full=True, rated=True),
         strict=[number for number, strict in zip(numbers, is_strict[:limit], strict=True) if strict],
         within_budget=within,
         with_known=known,

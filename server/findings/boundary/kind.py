@@ -39,7 +39,7 @@ class BoundaryKind(Kind):
         distinct, strict = boundary.counts.dbs, boundary.counts.strict
         numbers = [int(number) for number in read.archive.numbers[boundary.chosen[: subject.rows]]]
         solutions = await sources.pages.read(
-            sources.engines, lambda c: solutions_of(c, subject.campaign, read, numbers)
+            sources.engines, lambda c: solutions_of(c, subject.campaign, read, numbers, rated=True)
         )
         rows = [
             [

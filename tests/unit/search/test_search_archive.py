@@ -231,10 +231,14 @@ def solutions(count: int, seed: int = 0) -> tuple[NDArray[np.float64], NDArray[n
     return rows, rng.random(count) < 0.4
 
 
-def grown_in_steps(rows: NDArray[np.float64], unsafe: NDArray[np.bool_], cuts: list[int]) -> list[Archive]:
+def grown_in_steps(
+    rows: NDArray[np.float64], unsafe: NDArray[np.bool_], cuts: list[int], *, counted: bool = False
+) -> list[Archive]:
+    """Return an archive after each step; neighbours are counted after each if `counted`, or when asked for."""
     archives = [Archive.empty(SPACE, NEAR)]
     for a, b in pairwise([0, *cuts, len(rows)]):
         archives.append(archives[-1].grown(np.arange(a, b), rows[a:b], unsafe[a:b], np.zeros(b - a)))
+        assert not counted or archives[-1].neighbours.size == b
     return archives
 
 
@@ -247,11 +251,13 @@ def test_neighbour_counts_and_fitness_match_the_replication_code() -> None:
     assert archive.fitness.tolist() == pytest.approx(ORACLE_60["fitness"], rel=0, abs=1e-9)
 
 
-@given(cuts=st.lists(st.integers(0, 90), max_size=6).map(sorted), seed=st.integers(0, 5))
+@given(
+    cuts=st.lists(st.integers(0, 90), max_size=6).map(sorted), seed=st.integers(0, 5), counted=st.booleans()
+)
 @settings(max_examples=30, deadline=None)
-def test_growing_in_steps_equals_growing_at_once(cuts: list[int], seed: int) -> None:
+def test_growing_in_steps_equals_growing_at_once(cuts: list[int], seed: int, counted: bool) -> None:
     rows, unsafe = solutions(90, seed)
-    steps = grown_in_steps(rows, unsafe, cuts)
+    steps = grown_in_steps(rows, unsafe, cuts, counted=counted)
     once = grown_in_steps(rows, unsafe, [])[-1]
     for name in ("numbers", "vectors", "unsafe", "neighbours", "unsafe_neighbours", "interval", "fitness"):
         assert np.array_equal(getattr(steps[-1], name), getattr(once, name)), name
@@ -263,11 +269,25 @@ def test_growing_in_steps_equals_growing_at_once(cuts: list[int], seed: int) -> 
 def test_latest_rows_of_all_steps_make_up_the_distance_matrix() -> None:
     rows, unsafe = solutions(50)
     distance = Metric.of_space(SPACE).between(rows, rows)
-    for archive in grown_in_steps(rows, unsafe, [0, 20, 20, 45])[1:]:
-        assert archive.latest_rows is not None
+    for archive in grown_in_steps(rows, unsafe, [20, 45], counted=True)[1:]:
+        assert archive.counts.latest_rows is not None
         count = len(archive)
-        block = distance[count - len(archive.latest_rows) : count, :count].astype(np.float32)
-        assert np.array_equal(archive.latest_rows, block)
+        block = distance[count - len(archive.counts.latest_rows) : count, :count].astype(np.float32)
+        assert np.array_equal(archive.counts.latest_rows, block)
+
+
+def test_neighbours_are_not_counted_before_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows, unsafe = solutions(1_100)
+    whole = grown_in_steps(rows, unsafe, [])[-1]
+    with monkeypatch.context() as patch:
+        patch.delattr(Metric, "blocks")
+        before, archive = grown_in_steps(rows, unsafe, [30])[1:]
+        assert not archive.is_counted
+        assert archive.first(10).numbers.tolist() == list(range(10))
+    assert archive.counts.latest_rows is None, "they would be those of all solutions"
+    assert np.array_equal(archive.neighbours, whole.neighbours)
+    assert np.array_equal(archive.unsafe_neighbours, whole.unsafe_neighbours)
+    assert (archive.is_counted, before.is_counted) == (True, False)
 
 
 def test_growing_leaves_the_old_archive_unchanged() -> None:
@@ -281,18 +301,12 @@ def test_growing_leaves_the_old_archive_unchanged() -> None:
 def test_arrays_are_read_only_copies() -> None:
     rows, unsafe = solutions(10)
     archive = grown_in_steps(rows, unsafe, [])[-1]
-    for name in (
-        "numbers",
-        "vectors",
-        "unsafe",
-        "robustness",
-        "neighbours",
-        "fitness",
-        "interval",
-        "latest_rows",
-    ):
+    for name in ("numbers", "vectors", "unsafe", "robustness", "neighbours", "fitness", "interval"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(archive, name)[0] = 1
+    latest = archive.counts.latest_rows
+    assert latest is not None
+    assert not latest.flags.writeable
     before = archive.vectors.copy()
     rows[:] = 0
     assert np.array_equal(archive.vectors, before)
@@ -302,7 +316,7 @@ def test_restored_archive_grows_like_the_stored_one() -> None:
     rows, unsafe = solutions(60)
     archive = grown_in_steps(rows[:40], unsafe[:40], [25])[-1]
     restored = stored_and_restored(archive)
-    assert restored.latest_rows is None
+    assert restored.counts.latest_rows is None
     further = (np.arange(40, 60), rows[40:], unsafe[40:], np.zeros(20))
     first, second = archive.grown(*further), restored.grown(*further)
     assert np.array_equal(first.fitness, second.fitness)

@@ -29,6 +29,8 @@ export function convergenceCards(context, id, query, thresholds) {
   let reading = ""; // how to read the thresholds, from the coordinator
   let generations = null;
   let unavailable = null; // why there is no curve at these thresholds
+  let isEmpty = true; // whether there was never a boundary solution at these thresholds
+  let finds = []; // the boundary may be a side line of the search, and there may be none
 
   const dbs = chart({
     label: "Distinct boundary solutions against the number of simulations", x: "simulations", signal: context.signal, height: 400,
@@ -64,14 +66,29 @@ export function convergenceCards(context, id, query, thresholds) {
 
   const load = loadOnNews(async () => {
     const read = await conditional.get(`campaigns/${id}/course?t_b=${t_b.value()}&d_th=${d_th.value()}`, { signal: context.signal });
-    if (read === UNCHANGED || isDefault()) return;
-    dbs.update([[0, ...read.simulations], [0, ...read.dbs], [0, ...read.strict_dbs]]);
-    unavailable = read.note;
-    explain();
+    if (read === UNCHANGED || isCounted()) return;
+    show(read.simulations, read.dbs, read.strict_dbs, read.note);
   }, { signal: context.signal, refuse: context.complain, leastMs: 2_000 });
 
   function isDefault() {
     return t_b.value() === defaults.t_b && d_th.value() === defaults.d_th;
+  }
+
+  /** Whether the boundary solutions of every generation were counted at these thresholds. */
+  function isCounted() {
+    return isDefault() && generations.list.every((one) => one.dbs !== null);
+  }
+
+  function show(simulations, distinct, strict, reason) {
+    dbs.update([[0, ...simulations], [0, ...distinct], [0, ...strict]]);
+    unavailable = reason;
+    isEmpty = distinct.every((one) => one === 0);
+    hide();
+    explain();
+  }
+
+  function hide() {
+    dbsCard.hidden = !finds.includes("boundary") || (finds[0] !== "boundary" && isDefault() && isEmpty);
   }
 
   function set(wantedT, wantedD) {
@@ -88,12 +105,10 @@ export function convergenceCards(context, id, query, thresholds) {
     if (!generations) return;
     const list = generations.list;
     const simulations = list.map((one) => one.evaluated + one.measured + one.failed);
-    if (isDefault()) {
+    if (isCounted()) {
       conditional.forget();
-      dbs.update([[0, ...simulations], [0, ...list.map((one) => one.dbs)], [0, ...list.map((one) => one.strict_dbs)]]);
-      unavailable = null;
-      explain();
-    } else {
+      show(simulations, list.map((one) => one.dbs), list.map((one) => one.strict_dbs), null);
+    } else if (finds.includes("boundary")) {
       load(`${generations.next} ${t_b.value()} ${d_th.value()}`, { atOnce });
     }
     shares.update([simulations, list.map((one) => (one.evaluated ? (100 * one.unsafe) / one.evaluated : null))]);
@@ -107,9 +122,10 @@ export function convergenceCards(context, id, query, thresholds) {
     news(progress, known) {
       defaults = { t_b: progress.t_b, d_th: progress.d_th };
       card.hidden = known.list.length === 0;
-      // In a search for pairs the boundary is a side line, and there may be none.
-      dbsCard.hidden = !progress.finds.includes("boundary") || (progress.finds[0] === "pairs" && isDefault() && known.list.every((one) => one.dbs === 0));
-      fitnessCard.hidden = progress.finds[0] === "tolerances"; // it minimises nothing
+      finds = progress.finds;
+      hide();
+      // A search that minimises nothing has none; those for tolerances had, in older versions.
+      fitnessCard.hidden = progress.finds[0] === "tolerances" || known.list.every((one) => one.best_fitness === null);
       text(fitnessTitle, `${progress.finds.includes("boundary") || progress.measured ? "Fitness" : "Criticality"} by generation`);
       text(fitnessHint, `The quantity that the algorithm minimises.${progress.finds.includes("boundary") ? " 0 is on the boundary." : ""}`);
       if (generations !== known || known.next !== this.drawn) {
