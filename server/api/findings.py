@@ -1,8 +1,8 @@
 """Routes of findings: all kinds of a campaign's findings, or one of them as JSON or as a table."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
 
 from brink.server.api.context import Services
 from brink.server.api.responses import MEDIA, file_response, json_response
@@ -11,6 +11,8 @@ from brink.server.findings.finding import Finding, Findings
 from brink.server.findings.summary import MOST_ROWS, ROWS, find_all, find_kind
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/findings", tags=["findings"])
+_OWN: Final = frozenset({"table", "rows", "format"})
+"""Parameters of the query that are no settings of a kind."""
 
 
 @router.get("")
@@ -30,12 +32,18 @@ async def get_finding(
     campaign_id: str,
     kind: str,
     services: Services,
+    request: Request,
     table: Annotated[str | None, Query(description="Name of the table; by default the first.")] = None,
+    rows: Annotated[int, Query(ge=1, le=MOST_ROWS, description="Most rows of each table.")] = MOST_ROWS,
     format: Literal["json", "csv", "jsonl", "parquet"] = "json",  # noqa: A002  (the name of the query parameter)
 ) -> Response:
-    """Return one kind of a campaign's findings: a sentence, its tables and next steps, or one table as a file."""
+    """Return one kind of a campaign's findings: a sentence, its tables and next steps, or one table as a file.
+
+    All other parameters of the query are settings of the kind, such as `eps` and `d_th` of pairs.
+    """
     campaign = await services.campaigns.get(campaign_id)
-    finding = await find_kind(services, campaign, kind)
+    settings = {name: value for name, value in request.query_params.items() if name not in _OWN}
+    finding = await find_kind(services, campaign, kind, rows=rows, settings=settings)
     if format == "json":
         return await services.pages.run(lambda: json_response(finding))
     chosen = finding.table(table)

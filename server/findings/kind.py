@@ -10,16 +10,20 @@ import importlib
 import logging
 import pkgutil
 from abc import ABC, abstractmethod
-from collections.abc import Callable, MutableMapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, partial
+from types import MappingProxyType
 from typing import Any, ClassVar, Final, TypeVar, cast
+
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from brink.server import findings
 from brink.server.campaigns.archives import Archives, ReadArchive
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.repeats import StoredRepeats
 from brink.server.campaigns.store import Campaign
+from brink.server.documents import invalid_input
 from brink.server.findings.finding import Finding, Role, Step
 from brink.server.findings.sources import Sources
 from brink.server.problems.base import Problem
@@ -30,7 +34,14 @@ T = TypeVar("T")
 
 FINDINGS: Final = "brink.findings"
 """Entry-point group of kinds: each loads a subclass of `Kind`."""
+NOTHING: Final[Mapping[str, str]] = MappingProxyType({})
 log = logging.getLogger(__name__)
+
+
+class Settings(BaseModel):
+    """What a kind can be asked with, by name as in the query of its address; a kind with settings has a subclass."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,6 +55,7 @@ class Subject:
         stored: Its follow-ups.
         role: Why it has this kind of finding.
         rows: Most rows of each table.
+        settings: What it is asked with, of the kind's own type; see `find_safely`.
     """
 
     sources: Sources
@@ -52,6 +64,7 @@ class Subject:
     stored: Sequence[StoredRepeats]
     role: Role
     rows: int
+    settings: Any = None
 
     @property
     def plan(self) -> Plan:
@@ -102,6 +115,7 @@ class Kind(ABC):
         is_met: Whether any campaign may come across it.
         is_exclusive: Whether a campaign that is for this has no other findings, because its simulations are chosen
             so that they say nothing else.
+        settings: What it can be asked with; every setting has a default.
     """
 
     id: ClassVar[str]
@@ -109,6 +123,7 @@ class Kind(ABC):
     rank: ClassVar[int] = 50
     is_met: ClassVar[bool] = False
     is_exclusive: ClassVar[bool] = False
+    settings: ClassVar[type[Settings]] = Settings
 
     def is_reported_by(self, problem: Problem) -> bool:
         """Return whether every campaign on a problem has this kind; by default, if the problem's `finds` names it."""
@@ -117,6 +132,20 @@ class Kind(ABC):
     def fits(self, plan: Plan) -> bool:
         """Return whether a campaign can have this kind if its algorithm declares it or may produce it."""
         return True
+
+    def asked_with(self, given: Mapping[str, str]) -> Settings:
+        """Return settings.
+
+        Args:
+            given: Their values as text, by name.
+
+        Raises:
+            InvalidInput: There is no such setting, or a value is out of its bounds.
+        """
+        try:
+            return self.settings.model_validate(dict(given))
+        except ValidationError as error:
+            raise invalid_input(error, self.settings, "/query") from None
 
     async def find(self, subject: Subject) -> Finding:
         """Return the finding for a campaign with at least one evaluated solution.
@@ -201,10 +230,19 @@ def reported_by(problem: Problem) -> list[str]:
     return [kind.id for kind in all_kinds() if asked(kind, partial(kind.is_reported_by, problem), False)]
 
 
-async def find_safely(kind: Kind, subject: Subject) -> Finding:
-    """Return a kind's finding, or a note that it is unavailable if the kind is a plug-in's and fails."""
+async def find_safely(kind: Kind, subject: Subject, given: Mapping[str, str] = NOTHING) -> Finding:
+    """Return a kind's finding, or a note that it is unavailable if the kind is a plug-in's and fails.
+
+    Args:
+        kind: The kind.
+        subject: The campaign, without settings.
+        given: Settings as text, by name.
+
+    Raises:
+        InvalidInput: The kind has no such setting, or a value is out of its bounds.
+    """
     if not is_guarded(kind):
-        return await kind.find(subject)
+        return await kind.find(replace(subject, settings=kind.asked_with(given)))
     failed = Finding(
         kind=kind.id,
         title=kind.title,
@@ -212,7 +250,16 @@ async def find_safely(kind: Kind, subject: Subject) -> Finding:
         sentence="the plug-in of this finding failed: the coordinator's log says why",
         is_empty=True,
     )
-    return await subject.sources.analyses.run(lambda: asked(kind, lambda: kind.analyse(subject), failed))
+
+    def answer() -> Finding:
+        settings = kind.asked_with(given) if given else None
+
+        def analyse() -> Finding:
+            return kind.analyse(replace(subject, settings=settings or kind.asked_with(NOTHING)))
+
+        return asked(kind, analyse, failed)
+
+    return await subject.sources.analyses.run(answer)
 
 
 def kinds_of(plan: Plan) -> dict[Kind, Role]:

@@ -16,7 +16,7 @@ from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.errors import NotFound
 from brink.server.findings.boundary.repeats import count_distinct, repeats_view
 from brink.server.findings.finding import Finding, Findings, FollowedView, Role, Step, StepRequest
-from brink.server.findings.kind import Kind, Subject, all_kinds, asked, find_safely, kinds_of
+from brink.server.findings.kind import NOTHING, Kind, Subject, all_kinds, asked, find_safely, kinds_of
 from brink.server.findings.sources import Sources
 from brink.server.findings.words import full_sentence, so_far
 from brink.server.problems.catalogue import takes_requirement
@@ -59,14 +59,29 @@ async def find_all(sources: Sources, campaign: Campaign, *, rows: int = ROWS) ->
     )
 
 
-async def find_kind(sources: Sources, campaign: Campaign, kind_id: str) -> Finding:
-    """Return one kind of a campaign's findings, with up to `MOST_ROWS` rows of each table.
+async def find_kind(
+    sources: Sources,
+    campaign: Campaign,
+    kind_id: str,
+    *,
+    rows: int = MOST_ROWS,
+    settings: Mapping[str, str] = NOTHING,
+) -> Finding:
+    """Return one kind of a campaign's findings.
+
+    Args:
+        sources: Where findings are read from.
+        campaign: The campaign.
+        kind_id: The kind.
+        rows: Most rows of each table.
+        settings: What the kind is asked with, as text; see `Kind.settings`.
 
     Raises:
         NotFound: The campaign does not have it, or nothing has been evaluated yet.
+        InvalidInput: The kind has no such setting, or a value is out of its bounds.
     """
     known = await _Known.read(sources, campaign)
-    subjects = known.subjects(MOST_ROWS)
+    subjects = known.subjects(rows)
     kind = next((one for one in subjects if one.id == kind_id), None)
     if kind is None:
         raise NotFound(
@@ -75,7 +90,7 @@ async def find_kind(sources: Sources, campaign: Campaign, kind_id: str) -> Findi
         )
     if not len(known.read_archive.archive):
         raise NotFound(f"campaign {campaign.id}: no solution has been evaluated yet")
-    return await find_safely(kind, subjects[kind])
+    return await find_safely(kind, subjects[kind], settings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

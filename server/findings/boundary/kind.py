@@ -1,5 +1,9 @@
 """The boundary as a kind of finding."""
 
+from typing import Annotated
+
+from pydantic import Field
+
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.boundaries import read_last_count
 from brink.server.campaigns.plan import check_repeatable
@@ -10,7 +14,7 @@ from brink.server.findings.boundary.analysis import boundary_words
 from brink.server.findings.boundary.repeats import DEFAULT_REPEATS
 from brink.server.findings.finding import Finding, Step, StepRequest
 from brink.server.findings.follow_ups import follow_up_view
-from brink.server.findings.kind import Kind, Listed, Subject
+from brink.server.findings.kind import Kind, Listed, Settings, Subject
 from brink.server.findings.solutions import solutions_of
 from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.words import counted, listed_words
@@ -25,17 +29,26 @@ COLUMNS = [
 ]
 
 
+class BoundarySettings(Settings):
+    """Thresholds: the maximum fitness of a boundary solution, and the minimum distance between two of them."""
+
+    t_b: Annotated[float, Field(ge=0, le=1)] = DEFAULT_T_B
+    d_th: Annotated[float, Field(ge=0, le=1)] = DEFAULT_D_TH
+
+
 class BoundaryKind(Kind):
-    """Distinct solutions near the hazard boundary, at the default thresholds."""
+    """Distinct solutions near the hazard boundary."""
 
     id = "boundary"
     title = "The boundary"
     rank = 80
+    settings = BoundarySettings
 
     async def find(self, subject: Subject) -> Finding:
         """Return the distinct boundary solutions, best first."""
         sources, read = subject.sources, subject.read
-        boundary = await sources.boundaries.get(subject.campaign, read, DEFAULT_T_B, DEFAULT_D_TH)
+        t_b, d_th = subject.settings.t_b, subject.settings.d_th
+        boundary = await sources.boundaries.get(subject.campaign, read, t_b, d_th)
         distinct, strict = boundary.counts.dbs, boundary.counts.strict
         numbers = [int(number) for number in read.archive.numbers[boundary.chosen[: subject.rows]]]
         solutions = await sources.pages.read(
@@ -56,7 +69,7 @@ class BoundaryKind(Kind):
             kind=self.id,
             title=self.title,
             role=subject.role,
-            sentence=boundary_words(distinct, strict, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH),
+            sentence=boundary_words(distinct, strict, t_b=t_b, d_th=d_th),
             is_empty=not distinct,
             tables=[
                 Table(

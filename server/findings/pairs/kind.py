@@ -1,7 +1,9 @@
 """Pairs as a kind of finding."""
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Annotated, Final
+
+from pydantic import Field
 
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import TooManyPairs
@@ -12,7 +14,7 @@ from brink.server.campaigns.store import ENDED
 from brink.server.errors import InvalidInput
 from brink.server.findings.finding import Finding, Role, Step, StepRequest
 from brink.server.findings.follow_ups import follow_up_view
-from brink.server.findings.kind import Kind, Listed, Subject
+from brink.server.findings.kind import Kind, Listed, Settings, Subject
 from brink.server.findings.pairs.analysis import pairs_view
 from brink.server.findings.pairs.views import (
     DEFAULT_CONFIRMATIONS,
@@ -65,6 +67,13 @@ _QUESTIONS: Final[Mapping[FollowUpKind, tuple[str, str, str, str]]] = {
 }
 
 
+class PairsSettings(Settings):
+    """Which pairs to find; by default those at the campaign's own settings."""
+
+    eps: Annotated[float | None, Field(ge=0, le=1)] = None
+    d_th: Annotated[float | None, Field(ge=0, le=1)] = None
+
+
 class PairsKind(Kind):
     """Neighbours of which one is safe and one unsafe."""
 
@@ -72,12 +81,14 @@ class PairsKind(Kind):
     title = "Pairs"
     rank = 10
     is_met = True
+    settings = PairsSettings
 
     async def find(self, subject: Subject) -> Finding:
-        """Return the distinct pairs at the campaign's own settings, confirmed ones first."""
+        """Return the distinct pairs, confirmed ones first."""
         sources = subject.sources
         try:
-            pairs = await sources.pairs.get(subject.campaign, subject.read, PairSettings.of(subject.plan))
+            asked = PairSettings.of(subject.plan, subject.settings.eps, subject.settings.d_th)
+            pairs = await sources.pairs.get(subject.campaign, subject.read, asked)
         except InvalidInput as error:
             words = "; ".join(one.message for one in error.errors)
             steps = self._steps(subject, None)

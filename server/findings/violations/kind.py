@@ -7,7 +7,7 @@ from brink.search.analysis.avoidable import EXPLANATION, Avoidable
 from brink.search.analysis.violations import FoundViolation, by_type
 from brink.server.campaigns.violations import read_violations
 from brink.server.findings.finding import Finding, Step
-from brink.server.findings.kind import Kind, Listed, Subject
+from brink.server.findings.kind import Kind, Listed, Settings, Subject
 from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.violations.analysis import seen_again, violation_types, violations_words
 from brink.server.findings.violations.views import AvoidableExample, TypeView, ViolationsFound
@@ -31,12 +31,19 @@ COLUMNS: Final = [
 _AT_FAULT: Final = {True: "ego", False: "others", None: "differs"}
 
 
+class ViolationsSettings(Settings):
+    """Who would have avoided the violations whose types to find; by default, all types are found."""
+
+    avoidable: Avoidable | None = None
+
+
 class ViolationsKind(Kind):
     """Types of violations that other road users cause."""
 
     id = "violations"
     title = "Types of violations"
     rank = 30
+    settings = ViolationsSettings
 
     def is_reported_by(self, problem: Problem) -> bool:
         """Return whether the circumstances of violations are recorded."""
@@ -56,7 +63,9 @@ class ViolationsKind(Kind):
         return await sources.pages.run(lambda: self._finding(subject, found))
 
     def _finding(self, subject: Subject, found: Sequence[FoundViolation]) -> Finding:
-        types = seen_again(violation_types(found), subject.read.archive)
+        avoidable = subject.settings.avoidable
+        chosen = [one for one in found if avoidable in (None, one.avoidable)]
+        types = seen_again(violation_types(chosen, found), subject.read.archive)
         examples = _avoidable_examples(found)
         return Finding(
             kind=self.id,

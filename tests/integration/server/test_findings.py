@@ -59,6 +59,16 @@ def test_the_toy_kind_comes_first_in_rest_and_its_table_is_a_file(
     assert (len(rows), rows[0]["number"], rows[0]["unsafe"]) == (40, str(worst), "True")
 
 
+def test_the_toy_kind_is_asked_with_settings_of_its_own(client: httpx.Client, campaign: str) -> None:
+    path = f"{API}/{campaign}/findings/extremes"
+    smallest = expect(client.get(path))["tables"][0]["rows"]
+    largest = expect(client.get(path, params={"largest": "true", "rows": 3}))["tables"][0]["rows"]
+    assert [row[1] for row in largest] == [row[1] for row in smallest[:-4:-1]]
+    for params, pointer in (({"large": "true"}, "/query/large"), ({"largest": "3"}, "/query/largest")):
+        refused = expect(client.get(path, params=params), 422)
+        assert [one["pointer"] for one in refused["errors"]] == [pointer]
+
+
 def test_the_toy_kind_is_named_in_the_list_of_campaigns(client: httpx.Client, campaign: str) -> None:
     def listed() -> Any:
         read = expect(client.get("/api/v1/overview"))

@@ -7,7 +7,7 @@ import numpy as np
 
 from brink.search.algorithms.random_search import RandomSearch
 from brink.server.findings.finding import Finding, Step
-from brink.server.findings.kind import Kind, Listed, Subject
+from brink.server.findings.kind import Kind, Listed, Settings, Subject
 from brink.server.findings.table import Column, Format, Table
 from brink.server.views import View
 
@@ -27,16 +27,23 @@ class ExtremesView(View):
     worst: int
 
 
+class ExtremesSettings(Settings):
+    """Which of them to find."""
+
+    largest: bool = False
+
+
 class ExtremesKind(Kind):
-    """The solutions with the smallest and the largest robustness."""
+    """The solutions with the smallest robustness, or the largest."""
 
     id = "extremes"
     title = "Extremes"
+    settings = ExtremesSettings
 
     def analyse(self, subject: Subject) -> Finding:
-        """Return the solutions by robustness, the smallest first."""
+        """Return the solutions by robustness."""
         archive = subject.read.archive
-        order = np.argsort(archive.robustness, kind="stable")
+        order = np.argsort(archive.robustness, kind="stable")[:: -1 if subject.settings.largest else 1]
         rows = [
             [int(archive.numbers[place]), float(archive.robustness[place]), bool(archive.unsafe[place])]
             for place in order[: subject.rows]
