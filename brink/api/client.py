@@ -3,10 +3,11 @@
 Either way the client speaks the REST API, so what works on this machine also works against a remote one.
 """
 
-from collections.abc import AsyncIterator, Iterable, Mapping
+import asyncio
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import asynccontextmanager
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 import httpx
 from pydantic import TypeAdapter, ValidationError
@@ -17,9 +18,21 @@ from brink.worker.errors import no_token_words
 if TYPE_CHECKING:
     from brink.server.settings import Settings
 
-T = TypeVar("T")
+TIMEOUT: Final = httpx.Timeout(90.0, connect=5.0)
+COMPUTED_WAIT_S: Final = 5
+"""How long the coordinator may hold a request for what it still computes."""
+COMPUTED_POLL_S: Final = 1.0
 
-TIMEOUT = httpx.Timeout(90.0, connect=5.0)
+
+class Page(Protocol):
+    """A page of a list, and what to pass to get the next one; None after the last."""
+
+    @property
+    def next(self) -> int | str | None: ...  # noqa: D102
+
+
+T = TypeVar("T")
+PageT = TypeVar("PageT", bound=Page)
 
 
 class CoordinatorError(ServerError):
@@ -32,6 +45,10 @@ class CoordinatorError(ServerError):
     def __init__(self, message: str, errors: Iterable[FieldError] = ()) -> None:
         self.errors = tuple(errors)
         super().__init__(message)
+
+
+class Unreachable(CoordinatorError):
+    """No coordinator answers."""
 
 
 class Missing(CoordinatorError):
@@ -87,6 +104,49 @@ class Api:
         answer: T = self._validated(schema, await self.request(method, path, json=content))
         return answer
 
+    async def pages(
+        self, schema: type[PageT], path: str, params: Mapping[str, Any] | None = None
+    ) -> AsyncIterator[PageT]:
+        """Yield the pages of a list, from the first to the last.
+
+        Args:
+            schema: Type of a page.
+            path: Path below ``/api/v1``.
+            params: Query parameters, such as the ``limit`` of a page.
+
+        Raises:
+            CoordinatorError: A request failed, or a response does not match the schema.
+        """
+        asked = dict(params or {})
+        while True:
+            page = await self.read(schema, path, asked)
+            yield page
+            if page.next is None:
+                return
+            asked["after" if isinstance(page.next, int) else "cursor"] = page.next
+
+    async def read_computed(
+        self, schema: type[T], path: str, params: Mapping[str, Any], show: Callable[[str], None]
+    ) -> T:
+        """Return the response to a GET request for something that the coordinator may still have to compute.
+
+        Args:
+            schema: Type of the response.
+            path: Path below ``/api/v1``.
+            params: Query parameters.
+            show: Called with what is still being computed, in words.
+
+        Raises:
+            CoordinatorError: A request failed, or the response does not match the schema.
+        """
+        while True:
+            response = await self.request("GET", path, params={"wait_s": COMPUTED_WAIT_S, **params})
+            if response.status_code != httpx.codes.ACCEPTED:
+                answer: T = self._validated(schema, response)
+                return answer
+            show(str(response.json()["detail"]))
+            await asyncio.sleep(COMPUTED_POLL_S)
+
     async def get(self, path: str, params: Mapping[str, Any] | None = None) -> Any:
         """Return the decoded JSON response to a GET request.
 
@@ -113,7 +173,8 @@ class Api:
             options: Passed on to httpx.
 
         Raises:
-            CoordinatorError: The request failed.
+            Unreachable: No coordinator answers.
+            CoordinatorError: The coordinator rejected the request.
             InvalidInput: The path has an empty part, or leads elsewhere: an id in it is none.
         """
         _check_path(path)
@@ -121,7 +182,7 @@ class Api:
             response = await self._client.request(method, f"/api/v1{path}", **options)
         except httpx.HTTPError as error:
             reason = str(error) or type(error).__name__
-            raise CoordinatorError(
+            raise Unreachable(
                 f"no coordinator answers at {self.where} ({reason}); start one with: brink serve"
             ) from None
         if response.is_success:

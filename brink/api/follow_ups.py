@@ -1,12 +1,12 @@
-"""Follow-ups of pairs in clients: what they simulate, and how they are paused and resumed."""
+"""Follow-ups of pairs in clients: what they simulate, and how they are resumed."""
 
-import contextlib
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from brink.api.client import Api, CoordinatorError
+from brink.api.client import Api
 from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
 from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.findings.boundary.repeat_views import RepeatsView
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.states import CampaignStatus
 
@@ -60,13 +60,7 @@ def follow_up_options(requests: Sequence[dict[str, Any]]) -> str:
     return " ".join(words)
 
 
-async def continue_follow_up(api: Api, found: FollowUpView) -> None:
+async def continue_follow_up(api: Api, found: FollowUpView | RepeatsView) -> None:
     """Resume a follow-up that was paused by a user, rather than by failures."""
     if found.status is CampaignStatus.PAUSED and not found.status_reason:
         await api.post(f"/campaigns/{found.campaign}/resume")
-
-
-async def pause_follow_up(api: Api, campaign: str) -> None:
-    """Pause a follow-up, unless it has ended in the meantime."""
-    with contextlib.suppress(CoordinatorError):
-        await api.post(f"/campaigns/{campaign}/pause")

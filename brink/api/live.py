@@ -2,9 +2,10 @@
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Self
+from typing import Generic, Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -12,7 +13,10 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from brink.server.api.schemas import ExperimentProgress, GenerationView, Progress
+from brink.api.client import Api
+from brink.api.following import P
+from brink.api.terminal import plain_table
+from brink.server.api.schemas import ExperimentProgress, ExperimentView, GenerationView, MemberView, Progress
 from brink.server.states import CampaignStatus
 
 PLAIN_EVERY_S = 10.0
@@ -98,7 +102,7 @@ class Steps:
             wait_s = self._plain_every_s
 
 
-class LiveDisplay:
+class LiveDisplay(ABC, Generic[P]):
     """A panel updated in place on a terminal; elsewhere a line every ten seconds."""
 
     def __init__(self, console: Console) -> None:
@@ -122,27 +126,34 @@ class LiveDisplay:
         if self._live is not None:
             self._live.stop()
 
-    def _update(
-        self,
-        progress: Progress | ExperimentProgress,
-        panel: Callable[[], RenderableType],
-        line: Callable[[], str],
-    ) -> None:
+    @abstractmethod
+    async def fetch(self, api: Api, work: str) -> P:
+        """Return the progress of the work with this id."""
+
+    @abstractmethod
+    def _panel(self, progress: P) -> RenderableType:
+        """Return what a terminal shows."""
+
+    @abstractmethod
+    def _line(self, progress: P) -> str:
+        """Return what is printed elsewhere."""
+
+    def show(self, progress: P) -> None:
         """Show the panel on a terminal; elsewhere print the line, unless one was printed recently.
 
         Before the first worker connects, the line says nothing, so it is only printed if that takes long.
         """
         if self._live is not None:
-            self._live.update(panel())
+            self._live.update(self._panel(progress))
             return
         waiting = progress.status is CampaignStatus.RUNNING and not (progress.workers or progress.simulations)
         now = time.monotonic()
         if now - (max(self._began, self._printed_at) if waiting else self._printed_at) >= PLAIN_EVERY_S:
             self._printed_at = time.monotonic()
-            self._console.print(Text(line()), soft_wrap=True)
+            self._console.print(Text(self._line(progress)), soft_wrap=True)
 
 
-class CampaignDisplay(LiveDisplay):
+class CampaignDisplay(LiveDisplay[Progress]):
     """Progress display of a campaign."""
 
     def __init__(self, console: Console) -> None:
@@ -150,17 +161,17 @@ class CampaignDisplay(LiveDisplay):
         self._series: list[GenerationView] = []
         self._failed = False
 
-    @property
-    def generations(self) -> int:
-        """Number of generations shown so far, which is the cursor of the next request."""
-        return len(self._series)
+    async def fetch(self, api: Api, campaign: str) -> Progress:
+        """Return the progress of a campaign, with the generations that were not shown yet."""
+        since = {"since": len(self._series)}
+        return await api.read(Progress, f"/campaigns/{campaign}/progress", since)
 
     def show(self, progress: Progress) -> None:
         """Show the progress of a campaign, including new generations."""
         self._series += [one for one in progress.generations if one.number >= len(self._series)]
         if failures_of(progress) and not self._failed:
             self._printed_at, self._failed = float("-inf"), True
-        self._update(progress, lambda: self._panel(progress), lambda: self._line(progress))
+        super().show(progress)
 
     def _panel(self, progress: Progress) -> Group:
         kind = "evaluations" if progress.measured else "simulations"
@@ -220,8 +231,69 @@ class CampaignDisplay(LiveDisplay):
             *rate_parts(progress),
             f"workers {progress.workers or 'none yet'}",
         ]
-        failures = [f"failed {failures_words(progress)}"] if failures_of(progress) else []
-        return ", ".join([*parts, *([progress.asking] if progress.asking else []), *failures])
+        failures = f"failed {failures_words(progress)}" if failures_of(progress) else ""
+        return ", ".join(filter(None, [*parts, progress.asking, failures, progress.trouble]))
+
+
+class ExperimentDisplay(LiveDisplay[ExperimentProgress]):
+    """Progress display of an experiment and, on a terminal, of its campaigns by method."""
+
+    _members: Sequence[MemberView] = ()
+
+    async def fetch(self, api: Api, experiment: str) -> ExperimentProgress:
+        """Return the progress of an experiment."""
+        if self._live is not None:
+            self._members = (await api.read(ExperimentView, f"/experiments/{experiment}")).members
+        return await api.read(ExperimentProgress, f"/experiments/{experiment}/progress")
+
+    def _panel(self, progress: ExperimentProgress) -> Group:
+        rows = [
+            ("campaigns", f"{progress.finished} of {progress.campaigns} finished"),
+            ("rate", rate_words(progress)),
+            ("workers", workers_words(progress)),
+        ]
+        if progress.failed or progress.quarantined:
+            rows.append(("failed", f"{progress.failed}   quarantined {progress.quarantined}"))
+        rows += [("paused", reason) for reason in progress.paused]
+        if progress.trouble:
+            rows.append(("trouble", progress.trouble))
+        facts = facts_table([(name, Text(value)) for name, value in rows])
+        bar = budget_bar(progress.name, progress.simulations, progress.budget)
+        return Group(bar, facts, *([_methods(self._members)] if self._members else []))
+
+    def _line(self, progress: ExperimentProgress) -> str:
+        parts = [
+            f"{progress.simulations}/{progress.budget} simulations",
+            f"{progress.finished} of {progress.campaigns} campaigns finished",
+            *rate_parts(progress),
+            f"workers {progress.workers or 'none yet'}",
+        ]
+        return ", ".join(filter(None, [*parts, progress.trouble]))
+
+
+class FollowUpsDisplay(ExperimentDisplay):
+    """Progress display of the follow-ups of an experiment's pairs."""
+
+    async def fetch(self, api: Api, experiment: str) -> ExperimentProgress:
+        """Return the progress of the follow-ups of an experiment."""
+        return await api.read(ExperimentProgress, f"/experiments/{experiment}/follow-ups")
+
+
+def _methods(members: Sequence[MemberView]) -> Table:
+    """Return a table of the campaigns by method."""
+    several = len({member.problem for member in members}) > 1
+    by_method: dict[str, list[MemberView]] = {}
+    for member in members:
+        label = f"{member.method}, {member.problem}" if several else member.method
+        by_method.setdefault(label, []).append(member)
+    columns = ("finished", "simulations", "unsafe")
+    table = plain_table("method", *columns, right=columns)
+    for label, ours in by_method.items():
+        finished = sum(one.status is CampaignStatus.FINISHED for one in ours)
+        simulations, unsafe = sum(one.simulations for one in ours), sum(one.unsafe for one in ours)
+        share = f"{unsafe / simulations:.0%}" if simulations else "–"
+        table.add_row(Text(label), f"{finished} of {len(ours)}", f"{simulations:,}", share)
+    return table
 
 
 def budget_bar(name: str, simulations: int, budget: int, kind: str = "simulations") -> Table:

@@ -1,11 +1,12 @@
 """The one place that writes to the terminal. Control characters in untrusted text are shown, not executed."""
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
+from rich.table import Table
 from rich.text import Text
 
 from brink.worker.printable import printable
@@ -42,3 +43,17 @@ def echo(text: object, *, nl: bool = True, err: bool = False) -> None:
     stream = sys.stderr if err else sys.stdout
     stream.write((printable(str(text)) if stream.isatty() else str(text)) + "\n" * nl)
     stream.flush()
+
+
+def plain_table(*columns: str, right: Collection[str] = (), title: str | None = None) -> Table:
+    """Return an empty table without borders.
+
+    Args:
+        columns: Column headers.
+        right: Columns aligned to the right.
+        title: Title above the table.
+    """
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False, header_style="dim")
+    for name in columns:
+        table.add_column(name, justify="right" if name in right else "left")
+    return table

@@ -3,7 +3,7 @@
 They load neither the search nor the server, so they start fast with ``--server``.
 """
 
-import asyncio
+from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
 from shlex import quote
@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from brink.api.client import Api, Refused
+from brink.api.following import Silent, follow
 from brink.api.live import CampaignDisplay, failures_of, spark, waits_words
 from brink.api.terminal import echo
 from brink.cli.options import (
@@ -46,7 +47,6 @@ from brink.server.findings.boundary.views import Boundary, DbsCell
 from brink.server.states import CampaignStatus
 from brink.sim.catalogue import start_words
 
-POLL_S = 0.5
 ERRORS_SHOWN = 5
 SOLUTIONS_SHOWN = 5
 MOST_LISTED = 200
@@ -94,42 +94,38 @@ def submit(
                 found = await api.read(Progress, f"/campaigns/{campaign.id}/progress")
                 if words := waiting_words(found, server):
                     console().print(words, soft_wrap=True, style="yellow")
-        return await follow(api, campaign.id, as_json=as_json) if watch else True
+        return await watch_campaign(api, campaign.id, as_json=as_json) if watch else True
 
     if not with_api(server, None, work):
         raise typer.Exit(1)
 
 
-async def follow(api: Api, campaign: str, *, as_json: bool, quiet: bool = False) -> bool:
+async def watch_campaign(api: Api, campaign: str, *, as_json: bool) -> bool:
     """Show the progress of a campaign until it ends or is paused.
 
     Args:
         api: Coordinator of the campaign.
         campaign: Id of the campaign.
         as_json: Print only the last progress, as JSON.
-        quiet: Print nothing.
 
     Returns:
         Whether the campaign finished.
     """
     screen = console(stderr=as_json)
     waiting = ""
-    with CampaignDisplay(screen) as display:
-        while True:
-            document = await api.get(f"/campaigns/{campaign}/progress", {"since": display.generations})
-            progress = Progress.model_validate(document)
-            if not (as_json or quiet):
-                display.show(progress)
-            words = "" if quiet else waiting_words(progress, api.where)
-            if words and words != waiting:
-                screen.print(words, soft_wrap=True, style="yellow")
-            waiting = words
-            if progress.status is not CampaignStatus.RUNNING:
-                break
-            await asyncio.sleep(POLL_S)
+
+    def say_what_is_missing(progress: Progress) -> None:
+        nonlocal waiting
+        words = waiting_words(progress, api.where)
+        if words and words != waiting:
+            screen.print(words, soft_wrap=True, style="yellow")
+        waiting = words
+
+    with nullcontext(Silent()) if as_json else CampaignDisplay(screen) as display:
+        progress = await follow(api, campaign, display, check=say_what_is_missing)
     if as_json:
-        print_json(document)
-    elif not quiet:
+        print_json(progress.model_dump(mode="json"))
+    else:
         screen.print(
             f"campaign {campaign} is {progress.status}: {progress.simulations} simulations, "
             f"{progress.unsafe} unsafe {progress.status_reason}"
@@ -567,15 +563,14 @@ def retry(campaign: CampaignId, database: Database = None, server: Server = None
     async def work(api: Api) -> tuple[int, str]:
         found = await api.read(Progress, f"/campaigns/{campaign}/progress")
         queued, refused, reason = 0, 0, ""
-        page = {"campaign": found.id, "status": "quarantined", "limit": RETRY_PAGE, "after": 0}
-        while jobs := (await api.read(JobList, "/jobs", page)).jobs:
-            for job in jobs:
+        asked = {"campaign": found.id, "status": "quarantined", "limit": RETRY_PAGE}
+        async for page in api.pages(JobList, "/jobs", asked):
+            for job in page.jobs:
                 try:
                     await api.post(f"/jobs/{job.id}/retry")
                     queued += 1
                 except Refused as error:
                     refused, reason = refused + 1, str(error)
-            page["after"] = jobs[-1].id
         return queued, f"; {refused} stay quarantined: {reason}" if refused else ""
 
     queued, rest = with_api(server, database, work)

@@ -94,6 +94,7 @@ def run(
         json=as_json,
         database=database,
         port=port,
+        group="experiment ",
         sizes=tuple(
             f"{option} {number}"
             for option, number in (("--seeds", seeds), ("--simulations", simulations))

@@ -8,18 +8,10 @@ from rich.console import Console
 from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
-from brink.api.follow_ups import (
-    OPEN,
-    SIMULATED,
-    continue_follow_up,
-    follow_up_options,
-    follow_up_requests,
-    pause_follow_up,
-)
-from brink.api.live import Steps
-from brink.cli.experiment_progress import POLL_S, ExperimentDisplay
-from brink.cli.local import Session, run_locally, stopping
-from brink.cli.options import RESULTS, plain_table, settings_with, with_api
+from brink.api.follow_ups import OPEN, SIMULATED, continue_follow_up, follow_up_options, follow_up_requests
+from brink.api.live import FollowUpsDisplay, Steps
+from brink.cli.local import CommandSession, run_locally, stopping
+from brink.cli.options import plain_table, settings_with, with_api
 from brink.report.experiment_pairs import (
     COLUMNS,
     left_out_sentences,
@@ -29,7 +21,7 @@ from brink.report.experiment_pairs import (
 )
 from brink.search.analysis.pair_comparison import PairCounts, PairRepeat, pair_standings, problems_of
 from brink.server.api.experiment_pairs import ExperimentPairs, PairRepeatView
-from brink.server.api.schemas import ExperimentProgress, ExperimentView
+from brink.server.api.schemas import ExperimentView
 from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.findings.follow_ups import FollowUpView
@@ -52,13 +44,8 @@ async def fetch_experiment_pairs(
         CoordinatorError: The experiment does not exist.
     """
     with Steps(screen, "searching for pairs") as steps:
-        while True:
-            path, params = f"/experiments/{experiment}/pairs", {"wait_s": 5, **settings}
-            response = await api.request("GET", path, params=params)
-            if response.status_code == 200:
-                return ExperimentPairs.model_validate_json(response.content)
-            steps.show(str(response.json()["detail"]))
-            await asyncio.sleep(POLL_S)
+        path = f"/experiments/{experiment}/pairs"
+        return await api.read_computed(ExperimentPairs, path, settings, steps.show)
 
 
 def pair_repeats_of(pairs: ExperimentPairs) -> list[PairRepeat]:
@@ -135,7 +122,9 @@ def _is_known(one: PairRepeatView, request: dict[str, Any]) -> bool:
     return one.tried == one.distinct and one.drives >= int(request["repeats"])
 
 
-async def run_follow_ups(session: Session, pairs: ExperimentPairs, *, confirm: int, component: bool) -> bool:
+async def run_follow_ups(
+    session: CommandSession, pairs: ExperimentPairs, *, confirm: int, component: bool
+) -> bool:
     """Run the follow-ups of all campaigns of an experiment to their end, with workers that are already running.
 
     Args:
@@ -158,15 +147,13 @@ async def run_follow_ups(session: Session, pairs: ExperimentPairs, *, confirm: i
             f"simulating {' and '.join(SIMULATED[kind] for kind in kinds)}: {total:,} simulations",
             soft_wrap=True,
         )
-        progress = await _watch(session, pairs.id)
+        paths = [f"/campaigns/{one.campaign}" for one in asked]
+        with FollowUpsDisplay(screen) as display:
+            progress = await session.follow(pairs.id, display, paths)
         for reason in progress.paused if not session.stop.is_set() else ():
             screen.print(f"  campaign {reason}")
         complete = complete and progress.status is CampaignStatus.FINISHED
-    if session.stop.is_set():
-        for one in asked:
-            await pause_follow_up(api, one.campaign)
-        return False
-    return complete
+    return complete and not session.stop.is_set()
 
 
 def follow_up_here(
@@ -196,7 +183,7 @@ def follow_up_here(
         Whether nothing was refused or stopped.
     """
 
-    async def run(session: Session) -> bool:
+    async def run(session: CommandSession) -> bool:
         async with stopping(session.stop):
             pairs = await fetch_experiment_pairs(session.api, experiment, screen, **settings)
             await _check_extras(session.api, experiment)
@@ -224,7 +211,7 @@ def follow_up_here(
 
     if server is not None:
         return with_api(server, database, ask)
-    return run_locally(settings_with(database=database, port=0), RESULTS / "worker.log", screen, run)
+    return run_locally(settings_with(database=database, port=0), screen, run)
 
 
 async def _check_extras(api: Api, experiment: str) -> None:
@@ -232,18 +219,6 @@ async def _check_extras(api: Api, experiment: str) -> None:
     body = (await api.read(ExperimentView, f"/experiments/{experiment}")).body
     for cell in body.cells()[: len(body.problems) * len(body.algorithms)]:
         check_extra(make_plan(cell.body).problem)
-
-
-async def _watch(session: Session, experiment: str) -> ExperimentProgress:
-    with ExperimentDisplay(session.screen) as display:
-
-        async def poll() -> ExperimentProgress:
-            path = f"/experiments/{experiment}/follow-ups"
-            progress = await session.api.read(ExperimentProgress, path)
-            display.show(progress, [])
-            return progress
-
-        return await session.watch(poll)
 
 
 def print_experiment_pairs(screen: Console, pairs: ExperimentPairs) -> None:

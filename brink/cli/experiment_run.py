@@ -9,17 +9,15 @@ import numpy as np
 from rich.console import Console
 
 from brink.api.client import Api
-from brink.api.earlier import changed_in_experiment
-from brink.api.follow_ups import OPEN
-from brink.api.live import Steps
+from brink.api.live import ExperimentDisplay, Steps
+from brink.api.runs import ExperimentRun
 from brink.cli.experiment_pairs import (
     fetch_experiment_pairs,
     pair_repeats_of,
     print_experiment_pairs,
     run_follow_ups,
 )
-from brink.cli.experiment_progress import POLL_S, ExperimentDisplay
-from brink.cli.local import RunOptions, Session, run_to_end
+from brink.cli.local import CommandSession, RunOptions, run_to_end
 from brink.cli.options import console, file_name, plain_table, print_json
 from brink.report.experiment import ReportedPairs, html_report, markdown_report, sentences
 from brink.search.analysis.comparison import Repeat, duels, standings
@@ -28,22 +26,13 @@ from brink.search.analysis.paper import LEVEL, Measure
 from brink.search.analysis.scores import Control, Figures, Scores
 from brink.server.api.experiment_pairs import ExperimentPairs
 from brink.server.api.experiments import Results
-from brink.server.api.schemas import (
-    ControlView,
-    ExperimentList,
-    ExperimentProgress,
-    ExperimentSummary,
-    ExperimentView,
-    MemberView,
-    RepeatView,
-)
+from brink.server.api.schemas import ControlView, ExperimentProgress, RepeatView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
 from brink.server.experiments.body import ExperimentBody
 from brink.server.experiments.pairs import check_pairs
 from brink.server.problems.catalogue import check_extra
-from brink.server.states import CampaignStatus
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +73,7 @@ def run_experiment(
     check_pairs(body)
     screen = console(stderr=options.json)
 
-    async def finish(session: Session, progress: ExperimentProgress) -> FinishedExperiment | None:
+    async def finish(session: CommandSession, progress: ExperimentProgress) -> FinishedExperiment | None:
         complete = True
         if body.pairs is not None and (body.pairs.confirm or body.pairs.component):
             pairs = await fetch_experiment_pairs(session.api, progress.id, screen)
@@ -94,7 +83,7 @@ def run_experiment(
             )
             if session.stop.is_set():
                 screen.print("stopped; nothing is lost")
-                session.hint("continue with", f"experiment {options.resume_command}")
+                session.hint("continue with", options.resume_command)
                 return None
         results = await fetch_results(session.api, progress.id, screen, alpha=alpha)
         folder = options.out / f"{file_name(body.name)}-{progress.id}"
@@ -107,73 +96,7 @@ def run_experiment(
             screen.print(f"report: {folder / 'report.html'}", soft_wrap=True)
         return FinishedExperiment(results=results, folder=folder) if complete else None
 
-    return run_to_end(ExperimentRun(body), options, screen, finish)
-
-
-class ExperimentRun:
-    """An experiment to run to its end on this machine."""
-
-    noun = "experiment"
-    command = "experiment "
-
-    def __init__(self, body: ExperimentBody) -> None:
-        self.body = body
-        self._other = ""
-        self.models = tuple(one.llm for one in body.algorithms)
-
-    async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> ExperimentProgress | None:
-        """Return the latest experiment from this file with one of these statuses and no deleted campaign, if any.
-
-        One that was simulated with other code of a plug-in does not count.
-        """
-        params = {"document_hash": self.body.document_hash(), "limit": 100}
-        for one in (await api.read(ExperimentList, "/experiments", params)).experiments:
-            if not one.deleted and (one.status in statuses or await self._is_followed_up(api, one)):
-                changed = await changed_in_experiment(api, self.body, one.id)
-                if changed is not None:
-                    self._other = f"; experiment {one.id} was simulated with other code of {changed}"
-                    return None
-                return await api.read(ExperimentProgress, f"/experiments/{one.id}/progress")
-        return None
-
-    async def _is_followed_up(self, api: Api, one: ExperimentSummary) -> bool:
-        """Return whether an experiment has finished, but not the follow-ups of its pairs."""
-        if self.body.pairs is None or one.status is not CampaignStatus.FINISHED:
-            return False
-        progress = await api.read(ExperimentProgress, f"/experiments/{one.id}/follow-ups")
-        return progress.status in OPEN
-
-    async def resume(self, api: Api, found: ExperimentProgress) -> None:
-        """Resume the paused campaigns of the experiment."""
-        await api.post(f"/experiments/{found.id}/resume")
-
-    async def submit(self, api: Api) -> tuple[str, str]:
-        """Submit the experiment; return its id and a summary of it."""
-        body = self.body
-        experiment = await api.send(ExperimentView, "/experiments", body.document())
-        return experiment.id, (
-            f"{len(body.algorithms)} algorithms x {len(body.problems)} problems x {len(body.seeds)} seeds x "
-            f"{body.budget.simulations:,} simulations = {experiment.budget:,}{self._other}"
-        )
-
-    async def watch(self, session: Session, name: str) -> ExperimentProgress:
-        """Show the progress until the experiment ends or is stopped; return the last progress."""
-        api = session.api
-        with ExperimentDisplay(session.screen) as display:
-
-            async def poll() -> ExperimentProgress:
-                progress = await api.read(ExperimentProgress, f"/experiments/{name}/progress")
-                members: list[MemberView] = []
-                if session.screen.is_terminal:
-                    members = (await api.read(ExperimentView, f"/experiments/{name}")).members
-                display.show(progress, members)
-                return progress
-
-            return await session.watch(poll)
-
-    def reasons(self, progress: ExperimentProgress) -> Sequence[str]:
-        """Return which campaigns are paused, and why."""
-        return [f"campaign {reason}" for reason in progress.paused]
+    return run_to_end(ExperimentRun(body), options, screen, ExperimentDisplay(screen), finish)
 
 
 async def fetch_results(api: Api, experiment: str, screen: Console, *, alpha: float = LEVEL) -> Results:
@@ -183,13 +106,8 @@ async def fetch_results(api: Api, experiment: str, screen: Console, *, alpha: fl
         CoordinatorError: The experiment does not exist.
     """
     with Steps(screen, "scoring") as steps:
-        while True:
-            params = {"wait_s": 5, "alpha": alpha}
-            response = await api.request("GET", f"/experiments/{experiment}/results", params=params)
-            if response.status_code == 200:
-                return Results.model_validate_json(response.content)
-            steps.show(str(response.json()["detail"]))
-            await asyncio.sleep(POLL_S)
+        path = f"/experiments/{experiment}/results"
+        return await api.read_computed(Results, path, {"alpha": alpha}, steps.show)
 
 
 def repeats_of(results: Results) -> list[Repeat]:

@@ -444,14 +444,10 @@ def draw_types(found: Violations, folder: Path) -> Path:
 async def _criticality(api: Api, fetched: FetchedArchive) -> FloatArray:
     """Return the criticality of all archived solutions in the order of the archive, shape ``(n,)``."""
     found: dict[int, float] = {}
-    after: int | None = -1
-    while after is not None:
-        params = {"after": after, "limit": 1000}
-        page = await api.read(SolutionPage, f"/campaigns/{fetched.id}/solutions", params)
+    async for page in api.pages(SolutionPage, f"/campaigns/{fetched.id}/solutions", {"limit": 1000}):
         for solution in page.solutions:
             if solution.objectives is not None:
                 found[solution.number] = solution.objectives[CRITICALITY]
-        after = page.next
     return np.array([found[int(number)] for number in fetched.archive.numbers])
 
 

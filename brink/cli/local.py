@@ -1,106 +1,68 @@
 """Running a campaign or an experiment to its end on this machine, with an embedded coordinator and workers.
 
-`run_locally` starts the coordinator, gives a command its `Session` and stops everything afterwards; `run_to_end`
-submits a `Workload` or resumes it, watches it, and pauses it on Ctrl-C.
+`run_locally` starts the coordinator, gives a command its `CommandSession` and stops everything afterwards;
+`run_to_end` submits a `Workload` or resumes it, follows it, and pauses it on Ctrl-C.
 """
 
 import asyncio
 import contextlib
 import signal
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from typing import Protocol, TypeVar
+from typing import Final, TypeVar
 
-import httpx
 from rich.console import Console
 
-from brink.api.client import TIMEOUT, Api, CoordinatorError
-from brink.api.live import CampaignDisplay, earlier_words
-from brink.cli.options import database_option, database_place, naming_ids, program, settings_with
-from brink.server.api.schemas import ExperimentProgress, Progress
-from brink.server.errors import Conflict, Unavailable
+from brink.api.client import Api, connect
+from brink.api.follow_ups import OPEN, continue_follow_up
+from brink.api.following import P, Session
+from brink.api.live import CampaignDisplay, LiveDisplay, earlier_words
+from brink.api.runs import Workload, resume_or_submit
+from brink.cli.options import RESULTS, database_option, database_place, naming_ids, program, settings_with
+from brink.server.api.schemas import CampaignView, Progress
+from brink.server.campaigns.plan import make_plan
+from brink.server.errors import Conflict
+from brink.server.findings.boundary.repeat_views import RepeatsView
+from brink.server.findings.follow_ups import FollowUpView
 from brink.server.llm.access import with_endpoints
-from brink.server.llm.settings import LlmSettings
+from brink.server.problems.catalogue import check_extra
 from brink.server.runtime.coordinator import WorkerProcesses, local_coordinator
 from brink.server.settings import LOOPBACK, Settings
 from brink.server.states import CampaignStatus
 
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-POLL_S = 0.3
-MAX_TROUBLE_S = 5.0
-"""How long the database may reject writes before a run gives up."""
+STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 T = TypeVar("T")
-ProgressT = TypeVar("ProgressT", Progress, ExperimentProgress)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Session:
+class CommandSession(Session):
     """An embedded coordinator and its workers, as a command uses them.
 
     Attributes:
-        api: Its API.
-        url: Its address.
-        needs_token: Whether it rejects requests without a token.
-        database: The option that names its database in hints; empty for the default one.
-        processes: Its workers; none is started yet.
-        stop: Set on Ctrl-C or SIGTERM.
+        settings: Those of the coordinator.
         screen: Console for progress and hints.
-        place: Where its database is, in words.
-        serve: The command that serves its dashboard later, and the address it then has.
     """
 
-    api: Api
-    url: str
-    needs_token: bool
-    database: str
     processes: WorkerProcesses
-    stop: asyncio.Event
+    settings: Settings
     screen: Console
-    place: str = ""
-    serve: tuple[str, str] = ("serve", "http://127.0.0.1:8700")
 
     def hint(self, text: str, command: str) -> None:
         """Print a hint with a command that can be pasted."""
-        self.screen.print(f"{text}: {program()} {command}{self.database}", soft_wrap=True)
+        self.screen.print(f"{text}: {program()} {command}{database_option(self.settings)}", soft_wrap=True)
 
-    async def watch(self, poll: Callable[[], Awaitable[ProgressT]]) -> ProgressT:
-        """Poll until the work ends or is stopped, replacing workers that died.
-
-        Args:
-            poll: Fetches and shows the progress.
-
-        Returns:
-            The last progress.
-
-        Raises:
-            Unavailable: The database has rejected writes for too long.
-        """
-        while True:
-            progress = await poll()
-            if progress.status is not CampaignStatus.RUNNING or self.stop.is_set():
-                return progress
-            if progress.trouble_s > MAX_TROUBLE_S:
-                raise Unavailable(
-                    f"{progress.trouble}; acknowledged results are stored; continue later with --resume"
-                )
-            self.processes.replace_dead()
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self.stop.wait(), POLL_S)
-
-    async def watch_campaign(self, campaign: str) -> Progress:
+    async def follow_campaign(self, campaign: str) -> Progress:
         """Show the progress of a campaign until it ends or is stopped; return the last progress."""
         with CampaignDisplay(self.screen) as display:
+            return await self.follow(campaign, display, [f"/campaigns/{campaign}"])
 
-            async def poll() -> Progress:
-                since = {"since": display.generations}
-                progress = await self.api.read(Progress, f"/campaigns/{campaign}/progress", since)
-                display.show(progress)
-                return progress
-
-            return await self.watch(poll)
+    async def finish_follow_up(self, view: FollowUpView | RepeatsView) -> Progress:
+        """Simulate a follow-up to its end or until it is stopped; one that a user paused continues."""
+        await continue_follow_up(self.api, view)
+        return await self.follow_campaign(view.campaign)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,6 +79,7 @@ class RunOptions:
         database: Database URL; None takes the default one.
         port: Port of the coordinator; 0 picks a free port, None the usual one unless it is in use.
         sizes: Options that change what the file says.
+        group: Command group of the command, with a trailing space; empty for campaigns.
     """
 
     file: Path
@@ -128,91 +91,46 @@ class RunOptions:
     database: str | None = None
     port: int | None = None
     sizes: tuple[str, ...] = ()
+    group: str = ""
 
     @property
     def resume_command(self) -> str:
-        """The command that continues the run, without the command group."""
-        return " ".join(["run", quote(str(self.file)), *self.sizes, "--resume"])
-
-
-class Workload(Protocol[ProgressT]):
-    """A campaign or an experiment to run to its end.
-
-    Attributes:
-        noun: "campaign" or "experiment"; its plural is the REST resource.
-        command: Command group of its own commands, with a trailing space; empty for campaigns.
-        models: The language models that it names.
-    """
-
-    noun: str
-    command: str
-
-    @property
-    def models(self) -> Sequence[LlmSettings | None]: ...  # noqa: D102
-
-    async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> ProgressT | None:
-        """Return the latest run of the file that has one of these statuses."""
-        ...
-
-    async def resume(self, api: Api, found: ProgressT) -> None:
-        """Resume an unfinished run."""
-        ...
-
-    async def submit(self, api: Api) -> tuple[str, str]:
-        """Submit a new run; return its id and a summary of it in words."""
-        ...
-
-    async def watch(self, session: Session, name: str) -> ProgressT:
-        """Show the progress until the work ends or is stopped; return the last progress."""
-        ...
-
-    def reasons(self, progress: ProgressT) -> Sequence[str]:
-        """Return the reasons why the work ended unfinished."""
-        ...
+        """The command that continues the run."""
+        return " ".join([f"{self.group}run", quote(str(self.file)), *self.sizes, "--resume"])
 
 
 def run_locally(
     settings: Settings,
-    worker_log: Path,
     screen: Console,
-    work: Callable[[Session], Awaitable[T]],
+    work: Callable[[CommandSession], Awaitable[T]],
     *,
+    out: Path = RESULTS,
     any_port: bool = False,
 ) -> T:
     """Start a coordinator, run some work against it, and stop the coordinator and its workers.
 
     Args:
         settings: Settings of the coordinator. Its database is created or upgraded.
-        worker_log: Log file of the workers. Its folder is created first, so an unwritable one fails early.
         screen: Console for progress and hints.
-        work: Called with the session.
+        work: Called with the session; no worker is started yet.
+        out: Folder of the workers' log. It is created first, so an unwritable one fails early.
         any_port: Whether to listen on a free port if another program uses that of the settings.
 
     Raises:
         DatabaseError: The database is unusable.
         CannotListen: The coordinator failed to start.
     """
-    worker_log.parent.mkdir(parents=True, exist_ok=True)
+    out.mkdir(parents=True, exist_ok=True)
 
-    async def run(url: str, token: str | None, processes: WorkerProcesses) -> T:
-        headers = {"Authorization": f"Bearer {token}"} if token else {}
-        async with httpx.AsyncClient(base_url=url, timeout=TIMEOUT, headers=headers) as client:
-            session = Session(
-                api=Api(client, url),
-                url=url,
-                needs_token=token is not None,
-                database=database_option(settings),
-                processes=processes,
-                stop=asyncio.Event(),
-                screen=screen,
-                place=database_place(settings),
-                serve=_serve_later(settings),
-            )
-            return await naming_ids(session.api, session.place, session.database, lambda: work(session))
+    async def run(processes: WorkerProcesses) -> T:
+        async with connect(processes.url, processes.token) as api:
+            session = CommandSession(api=api, processes=processes, settings=settings, screen=screen)
+            place, option = database_place(settings), database_option(settings)
+            return await naming_ids(api, place, option, lambda: work(session))
 
-    coordinator = local_coordinator(settings, worker_log, any_port=any_port)
-    with _default_signals_afterwards(), coordinator as (url, token, processes):
-        return asyncio.run(run(url, token, processes))
+    coordinator = local_coordinator(settings, out / "worker.log", any_port=any_port)
+    with _default_signals_afterwards(), coordinator as processes:
+        return asyncio.run(run(processes))
 
 
 def _serve_later(settings: Settings) -> tuple[str, str]:
@@ -233,11 +151,21 @@ def _default_signals_afterwards() -> Iterator[None]:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
+async def check_extra_of(api: Api, campaign: str) -> None:
+    """Check that workers of this machine have what the problem of a campaign needs.
+
+    Raises:
+        InvalidInput: An extra is not installed.
+    """
+    check_extra(make_plan((await api.read(CampaignView, f"/campaigns/{campaign}")).body).problem)
+
+
 def run_to_end(
-    workload: Workload[ProgressT],
+    workload: Workload[P],
     options: RunOptions,
     screen: Console,
-    finish: Callable[[Session, ProgressT], Awaitable[T]],
+    display: LiveDisplay[P],
+    finish: Callable[[CommandSession, P], Awaitable[T]],
 ) -> T | None:
     """Run a campaign or an experiment to its end on this machine.
 
@@ -245,6 +173,7 @@ def run_to_end(
         workload: The campaign or experiment.
         options: Options of the command.
         screen: Console for progress and hints.
+        display: Shows the progress.
         finish: Called when the work has finished, while coordinator and workers still run.
 
     Returns:
@@ -259,67 +188,65 @@ def run_to_end(
     allowed = with_endpoints(settings.llm_endpoints, workload.models)
     settings = settings.model_copy(update={"llm_endpoints": allowed})
 
-    async def work(session: Session) -> T | None:
+    async def work(session: CommandSession) -> T | None:
         name, ended = await _start(workload, options, session)
-        page = f"/#/{workload.noun}s/{name}"
-        if not ended and not session.needs_token:  # the token is secret
-            screen.print(f"watch it in a browser until it ends: {session.url}{page}", soft_wrap=True)
+        resource = f"{workload.noun}s/{name}"
+        if not ended and session.processes.token is None:  # the token is secret
+            screen.print(
+                f"watch it in a browser until it ends: {session.processes.url}/#/{resource}", soft_wrap=True
+            )
         async with stopping(session.stop):
             session.processes.start(options.workers)
-            progress = await workload.watch(session, name)
+            with display:
+                progress = await session.follow(name, display, [f"/{resource}"])
             if session.stop.is_set():
-                # A paused run takes no workers until it is resumed.
-                with contextlib.suppress(CoordinatorError):
-                    await session.api.post(f"/{workload.noun}s/{name}/pause")
                 screen.print(
                     f"stopped at {progress.simulations:,} of {progress.budget:,} simulations; nothing is lost"
                 )
-                session.hint("continue with", f"{workload.command}{options.resume_command}")
+                session.hint("continue with", options.resume_command)
                 return None
             if progress.status is not CampaignStatus.FINISHED:
                 screen.print(f"{workload.noun} {name} is {progress.status}")
                 for reason in workload.reasons(progress):
                     screen.print(f"  {reason}")
-                session.hint("see details with", f"{workload.command}status {name}")
+                session.hint("see details with", f"{options.group}status {name}")
                 return None
             result = await finish(session, progress)
-            command, url = session.serve
-            screen.print(f"\nlook at it again: {program()} {command}, then open {url}{page}", soft_wrap=True)
+            command, url = _serve_later(settings)
+            screen.print(
+                f"\nlook at it again: {program()} {command}, then open {url}/#/{resource}", soft_wrap=True
+            )
             return result
 
-    any_port = options.port is None
-    return run_locally(settings, options.out / "worker.log", screen, work, any_port=any_port)
+    return run_locally(settings, screen, work, out=options.out, any_port=options.port is None)
 
 
-async def _start(workload: Workload[ProgressT], options: RunOptions, session: Session) -> tuple[str, bool]:
+async def _start(workload: Workload[P], options: RunOptions, session: CommandSession) -> tuple[str, bool]:
     """Return the id of the run to watch, the latest one of this file or a new one, and whether it has ended."""
-    statuses = [CampaignStatus.RUNNING, CampaignStatus.PAUSED]
-    if options.resume:
-        statuses.append(CampaignStatus.FINISHED)
+    statuses = [*OPEN, *([CampaignStatus.FINISHED] if options.resume else [])]
     found = None if options.new else await workload.latest(session.api, statuses)
-    if found is None:
-        if options.resume and not options.new:
-            session.screen.print(
-                f"there is no earlier {workload.noun} of {options.file}, as it is now, in {session.place}: "
-                "this starts one",
-                soft_wrap=True,
-            )
-        name, summary = await workload.submit(session.api)
-        session.screen.print(f"{workload.noun} {name}: {summary}")
-        return name, False
-    done = f"{found.simulations:,} of {found.budget:,} simulations"
-    if not options.resume:
+    done = "" if found is None else f"at {found.simulations:,} of {found.budget:,} simulations"
+    if found is not None and not options.resume:
         raise Conflict(
-            f"{workload.noun} {found.id} of this file is unfinished, at {done}: "
+            f"{workload.noun} {found.id} of this file is unfinished, {done}: "
             "continue it with --resume, or start another with --new"
         )
-    if found.status is CampaignStatus.FINISHED:
-        words = f"{workload.noun} {found.id} of this file {earlier_words(found)}; --new starts another"
+    if found is None and options.resume and not options.new:
+        session.screen.print(
+            f"there is no earlier {workload.noun} of {options.file}, as it is now, in "
+            f"{database_place(session.settings)}: this starts one",
+            soft_wrap=True,
+        )
+    name, words = await resume_or_submit(workload, session.api, found)
+    ended = found is not None and found.status is CampaignStatus.FINISHED
+    if found is None:
+        session.screen.print(f"{workload.noun} {name}: {words}")
+    elif ended:
+        words = f"{workload.noun} {name} of this file {earlier_words(found)}; --new starts another"
         session.screen.print(words, soft_wrap=True)
     else:
-        await workload.resume(session.api, found)
-        session.screen.print(f"{workload.noun} {found.id}: continuing at {done}")
-    return found.id, found.status is CampaignStatus.FINISHED
+        session.screen.print(f"{workload.noun} {name}: continuing {done}")
+    return name, ended
 
 
 @contextlib.asynccontextmanager

@@ -5,7 +5,7 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Awaitable, Callable, Collection, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError, Missing, connect, in_process
 from brink.api.terminal import PlainConsole, echo
+from brink.api.terminal import plain_table as plain_table
 from brink.search.sequential import FIRST
 from brink.server.documents import parse_yaml
 from brink.server.errors import SHORTEST_ID, FieldError, InvalidInput
@@ -393,20 +393,6 @@ def print_line(text: str) -> None:
 def print_sentence(screen: Console, text: str | Text, style: str | None = None) -> None:
     """Print a sentence that contains nothing to paste: wrapped on a terminal, on one line elsewhere."""
     screen.print(text, soft_wrap=not screen.is_terminal, style=style)
-
-
-def plain_table(*columns: str, right: Collection[str] = (), title: str | None = None) -> Table:
-    """Return an empty table without borders.
-
-    Args:
-        columns: Column headers.
-        right: Columns aligned to the right.
-        title: Title above the table.
-    """
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False, header_style="dim")
-    for name in columns:
-        table.add_column(name, justify="right" if name in right else "left")
-    return table
 
 
 def check_picture(file: Path | None) -> None:

@@ -9,16 +9,9 @@ import typer
 from rich.console import Console
 
 from brink.api.client import Api
-from brink.api.follow_ups import (
-    OPEN,
-    SIMULATED,
-    continue_follow_up,
-    follow_up_options,
-    follow_up_requests,
-    pause_follow_up,
-)
+from brink.api.follow_ups import OPEN, SIMULATED, follow_up_options, follow_up_requests
 from brink.api.terminal import echo
-from brink.cli.local import Session, run_locally, stopping
+from brink.cli.local import CommandSession, check_extra_of, run_locally, stopping
 from brink.cli.options import (
     RESULTS,
     AsJson,
@@ -37,14 +30,11 @@ from brink.cli.pair_pictures import PICTURES, check_file, chosen_pair, draw_pair
 from brink.cli.pair_tables import print_pairs
 from brink.cli.results_folder import update_pairs
 from brink.report.pair_pictures import FILMS
-from brink.server.api.schemas import CampaignView
 from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
-from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.errors import InvalidInput
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.pairs.views import MOST_PAIRS, Minimality, PairsView
-from brink.server.problems.catalogue import check_extra
 from brink.server.states import CampaignStatus
 
 PAIRS_SHOWN = 20
@@ -228,7 +218,6 @@ def _follow_up(
     if server is None:
         return run_locally(
             settings_with(database=database, port=0),
-            RESULTS / "worker.log",
             screen,
             lambda session: _run(session, campaign, requests, workers),
         )
@@ -278,10 +267,11 @@ def _can_be_minimised(view: PairsView, screen: Console) -> bool:
     return states.count(Minimality.MINIMAL) < one_seed
 
 
-async def _run(session: Session, campaign: str, requests: Sequence[dict[str, Any]], workers: int) -> bool:
+async def _run(
+    session: CommandSession, campaign: str, requests: Sequence[dict[str, Any]], workers: int
+) -> bool:
     """Run follow-ups to their end, one after the other; return False if they were stopped or did not finish."""
-    found = await session.api.read(CampaignView, f"/campaigns/{campaign}")
-    check_extra(make_plan(found.body).problem)
+    await check_extra_of(session.api, campaign)
     complete = True
     started = False
     async with stopping(session.stop):
@@ -292,11 +282,8 @@ async def _run(session: Session, campaign: str, requests: Sequence[dict[str, Any
             if not started:
                 session.processes.start(workers)
                 started = True
-            await continue_follow_up(session.api, view)
             session.screen.print(f"simulating {SIMULATED[view.kind]}", soft_wrap=True)
-            progress = await session.watch_campaign(view.campaign)
-            if progress.status is CampaignStatus.RUNNING:
-                await pause_follow_up(session.api, view.campaign)
+            progress = await session.finish_follow_up(view)
             complete = complete and progress.status is CampaignStatus.FINISHED
             if session.stop.is_set():
                 session.hint(

@@ -1,17 +1,16 @@
 """`brink repeats`: simulate the boundary of a campaign again with other seeds."""
 
-import contextlib
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 
-from brink.api.client import Api, CoordinatorError
+from brink.api.client import Api
+from brink.api.follow_ups import OPEN
 from brink.cli.campaigns import ALL_GENERATIONS, where_pairs_are
-from brink.cli.local import Session, run_locally, stopping
+from brink.cli.local import CommandSession, check_extra_of, run_locally, stopping
 from brink.cli.options import (
-    RESULTS,
     AsJson,
     CampaignId,
     Database,
@@ -29,13 +28,11 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
-from brink.server.api.schemas import CampaignView, Progress
+from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.plan import make_plan
 from brink.server.findings.boundary.repeat_views import RepeatedSolution, RepeatsView
 from brink.server.findings.boundary.repeats import DEFAULT_REPEATS
 from brink.server.findings.pairs.views import DEFAULT_CONFIRMATIONS
-from brink.server.problems.catalogue import check_extra
 from brink.server.states import CampaignStatus
 
 SOLUTIONS_SHOWN = 20
@@ -73,7 +70,7 @@ def repeats(
     )
     if server:
         view = with_api(server, database, lambda api: _find_or_submit(api, campaign, request))
-        if view.status in (CampaignStatus.RUNNING, CampaignStatus.PAUSED):
+        if view.status in OPEN:
             screen.print(
                 f"campaign {view.campaign} simulates them; the same command shows its progress",
                 soft_wrap=True,
@@ -81,7 +78,6 @@ def repeats(
     else:
         view = run_locally(
             settings_with(database=database, port=0),
-            RESULTS / "worker.log",
             screen,
             lambda session: _run(session, campaign, request, workers),
         )
@@ -104,15 +100,14 @@ async def _say_where_pairs_are(api: Api, campaign: str, place: str, screen: Cons
         screen.print(where_pairs_are(found, place, options=options, do=do), soft_wrap=True)
 
 
-async def _run(session: Session, campaign: str, request: dict[str, Any], workers: int) -> RepeatsView:
-    found = await session.api.read(CampaignView, f"/campaigns/{campaign}")
-    check_extra(make_plan(found.body).problem)
+async def _run(session: CommandSession, campaign: str, request: dict[str, Any], workers: int) -> RepeatsView:
+    await check_extra_of(session.api, campaign)
     view = await _find_or_submit(session.api, campaign, request)
     if view.status is CampaignStatus.FINISHED:
         return view
     async with stopping(session.stop):
         session.processes.start(workers)
-        view = await _watch(session, view)
+        view = await _finish(session, view)
         if session.stop.is_set() and view.status is not CampaignStatus.FINISHED:
             options = " ".join(f"--{name.replace('_', '-')} {value:g}" for name, value in request.items())
             session.hint("stopped; nothing is lost. Continue with", f"repeats {campaign} {options}")
@@ -137,23 +132,14 @@ async def _latest(api: Api, campaign: str, request: dict[str, Any]) -> RepeatsVi
     return None
 
 
-async def _watch(session: Session, view: RepeatsView) -> RepeatsView:
-    """Show the progress of repeats until they end or are stopped, which pauses them; return the result.
-
-    Repeats that a user or Ctrl-C paused are resumed first; those that the coordinator paused, with a reason, are not.
-    """
-    path = f"/campaigns/{view.campaign}"
-    if view.status is CampaignStatus.PAUSED and not view.status_reason:
-        await session.api.post(f"{path}/resume")
-    progress = await session.watch_campaign(view.campaign)
-    if progress.status is CampaignStatus.RUNNING:
-        with contextlib.suppress(CoordinatorError):
-            await session.api.post(f"{path}/pause")
+async def _finish(session: CommandSession, view: RepeatsView) -> RepeatsView:
+    """Simulate repeats to their end or until they are stopped; return the result."""
+    await session.finish_follow_up(view)
     found = await session.api.read(list[RepeatsView], f"/campaigns/{view.of}/repeats")
     return next(one for one in found if one.campaign == view.campaign)
 
 
-async def repeat_finished(session: Session, campaign: str, times: int) -> RepeatsView | None:
+async def repeat_finished(session: CommandSession, campaign: str, times: int) -> RepeatsView | None:
     """Wait for the repeats that a campaign file asks for.
 
     Args:
@@ -169,7 +155,7 @@ async def repeat_finished(session: Session, campaign: str, times: int) -> Repeat
     if view is None or view.status is CampaignStatus.FINISHED or session.stop.is_set():
         return view
     session.screen.print("simulating the boundary again with other seeds")
-    return await _watch(session, view)
+    return await _finish(session, view)
 
 
 def _print_repeats(screen: Console, view: RepeatsView) -> None:

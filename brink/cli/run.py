@@ -12,14 +12,13 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from brink.api.client import Api
-from brink.api.earlier import earlier_run
-from brink.api.live import Steps, failures_of
+from brink.api.live import CampaignDisplay, Steps, failures_of
 from brink.api.results import fetch_archive
+from brink.api.runs import CampaignRun
 from brink.cli.campaigns import grid_table, solution_table, within_budget
 from brink.cli.draw import write_results
 from brink.cli.findings import Findings, fetch_findings
-from brink.cli.local import RunOptions, Session, run_to_end
+from brink.cli.local import CommandSession, RunOptions, run_to_end
 from brink.cli.options import (
     RESULTS,
     CampaignFile,
@@ -31,6 +30,7 @@ from brink.cli.options import (
     Workers,
     about_file,
     console,
+    database_option,
     print_json,
     program,
     read_odd,
@@ -42,7 +42,7 @@ from brink.report.comparison import compared_archives
 from brink.report.figures import Drawing, draw_figures, write_replays
 from brink.search.analysis.comparison import control_summaries
 from brink.server.api.outcomes import OutcomesView
-from brink.server.api.schemas import CampaignView, Progress
+from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
 from brink.server.campaigns.plan import check_submission
 from brink.server.findings.boundary.analysis import boundary_words
@@ -98,11 +98,11 @@ def run(
         checked, _ = check_submission(body)
         check_extra(checked.plan.problem)
     screen = console(stderr=as_json)
-    workload = CampaignRun(body, pictures=pictures)
     complete = run_to_end(
-        workload,
+        CampaignRun(body, pictures=pictures),
         options,
         screen,
+        CampaignDisplay(screen),
         lambda session, progress: _finish(
             session, progress, body, options, pictures=pictures, replays=replays
         ),
@@ -110,54 +110,8 @@ def run(
     raise typer.Exit(int(not complete))
 
 
-class CampaignRun:
-    """A campaign to run to its end on this machine.
-
-    Args:
-        body: The campaign of the file.
-        pictures: Whether pictures are wanted; without them, workers record no traces when the search ends.
-    """
-
-    noun = "campaign"
-    command = ""
-
-    def __init__(self, body: CampaignBody, *, pictures: bool) -> None:
-        untraced = body.model_copy(update={"execution": body.execution.model_copy(update={"keep_traces": 0})})
-        self.body = body if pictures else untraced
-        self.models = (body.llm,)
-        self._other = ""
-        self._hashes = {body.document_hash(), untraced.document_hash()}
-
-    async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> Progress | None:
-        """Return the latest campaign of the file, with or without pictures, that has one of these statuses."""
-        latest, self._other = await earlier_run(api, self.body, self._hashes, statuses)
-        return None if latest is None else await api.read(Progress, f"/campaigns/{latest.id}/progress")
-
-    async def resume(self, api: Api, found: Progress) -> None:
-        """Resume the campaign if it is paused."""
-        if found.status is CampaignStatus.PAUSED:
-            await api.post(f"/campaigns/{found.id}/resume")
-
-    async def submit(self, api: Api) -> tuple[str, str]:
-        """Submit the campaign; return its id and a summary of it."""
-        body = self.body
-        campaign = await api.send(CampaignView, "/campaigns", body.model_dump(mode="json"))
-        return campaign.id, (
-            f"{body.algorithm.id} on {body.problem.id}, {body.budget.simulations} simulations, seed {body.seed}"
-            f"{self._other and f'; {self._other}'}"
-        )
-
-    async def watch(self, session: Session, name: str) -> Progress:
-        """Show the progress until the campaign ends or is stopped; return the last progress."""
-        return await session.watch_campaign(name)
-
-    def reasons(self, progress: Progress) -> Sequence[str]:
-        """Return why the campaign ended unfinished."""
-        return [progress.status_reason] if progress.status_reason else []
-
-
 async def _finish(
-    session: Session,
+    session: CommandSession,
     progress: Progress,
     body: CampaignBody,
     options: RunOptions,
@@ -182,7 +136,7 @@ async def _finish(
     else:
         if repeated is not None:
             session.screen.print(repeated.words, soft_wrap=True)
-        _print_summary(session.screen, options.file, body, progress, report, summary, session.database)
+        _print_summary(session, options.file, body, progress, report, summary)
     if session.stop.is_set():
         session.screen.print("interrupted: some figures are missing", style="yellow")
         session.hint("draw them with", options.resume_command)
@@ -212,7 +166,13 @@ class Report:
 
 
 async def _write_all(
-    session: Session, progress: Progress, body: CampaignBody, folder: Path, *, pictures: bool, replays: int
+    session: CommandSession,
+    progress: Progress,
+    body: CampaignBody,
+    folder: Path,
+    *,
+    pictures: bool,
+    replays: int,
 ) -> Report:
     """Write results, comparison and figures of a campaign; Ctrl-C skips the remaining figures."""
     api, campaign = session.api, progress.id
@@ -309,14 +269,14 @@ def _summary(
 
 
 def _print_summary(
-    screen: Console,
+    session: CommandSession,
     file: Path,
     body: CampaignBody,
     progress: Progress,
     report: Report,
     summary: dict[str, Any],
-    database: str,
 ) -> None:
+    screen, database = session.screen, database_option(session.settings)
     boundary, folder = report.boundary, summary["folder"]
     share = progress.unsafe / progress.evaluated if progress.evaluated else 0.0
     extra = progress.simulations - body.budget.simulations

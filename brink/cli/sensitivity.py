@@ -154,7 +154,14 @@ def rerun(
     document = body.model_dump(mode="json", exclude_defaults=True)
     experiment.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
     options = RunOptions(
-        file=experiment, workers=workers, out=out, resume=resume, new=new, json=as_json, database=database
+        file=experiment,
+        workers=workers,
+        out=out,
+        resume=resume,
+        new=new,
+        json=as_json,
+        database=database,
+        group="experiment ",
     )
     finished = run_experiment(body, options)
     if finished is None:

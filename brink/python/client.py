@@ -3,63 +3,23 @@
 `AsyncClient` does the work; `Client` is its synchronous form.
 """
 
-import asyncio
+import math
 import os
 import time
 from typing import Final
 
-from brink.api.client import Api
+from brink.api.following import follow
 from brink.python.campaign import CampaignLike, body_of
-from brink.python.connection import Connection, Coordinator, LocalDatabase
-from brink.python.display import Display, display_of
-from brink.python.result import AsyncResult, CampaignUnfinished, Result
+from brink.python.connection import Connection
+from brink.python.display import display_of
+from brink.python.result import AsyncResult, Result, check_finished
 from brink.python.synchronous import Synchronous, synchronous_method
 from brink.server.api.schemas import CampaignList, CampaignView, Progress
 from brink.server.llm.access import with_endpoints
 from brink.server.llm.settings import LlmSettings
 from brink.server.settings import Settings
-from brink.server.states import CampaignStatus
 
-POLL_S: Final = 0.5
 _PAGE: Final = 200
-
-
-async def watch(api: Api, campaign: str, display: Display, timeout_s: float | None = None) -> Progress:
-    """Show the progress of a campaign while it runs, and return its last progress.
-
-    Args:
-        api: Coordinator of the campaign.
-        campaign: Its id.
-        display: What shows the progress.
-        timeout_s: How long to wait; None waits for ever.
-
-    Raises:
-        TimeoutError: It still runs after that time.
-    """
-    deadline = None if timeout_s is None else time.monotonic() + timeout_s
-    while True:
-        params = {"since": display.generations}
-        progress = await api.read(Progress, f"/campaigns/{campaign}/progress", params)
-        display.show(progress)
-        if progress.status is not CampaignStatus.RUNNING:
-            return progress
-        if deadline is not None and time.monotonic() >= deadline:
-            raise TimeoutError(
-                f"campaign {campaign} still runs after {timeout_s:g} s: {progress.simulations:,} of "
-                f"{progress.budget:,} simulations, {progress.workers or 'no'} workers"
-            )
-        await asyncio.sleep(POLL_S)
-
-
-def check_finished(progress: Progress) -> None:
-    """Check that a campaign has finished.
-
-    Raises:
-        CampaignUnfinished: It was cancelled, or paused by a user or after too many failures.
-    """
-    if progress.status is not CampaignStatus.FINISHED:
-        reason = f": {progress.status_reason}" if progress.status_reason else ""
-        raise CampaignUnfinished(f"campaign {progress.id} is {progress.status}{reason}")
 
 
 class AsyncSubmitted:
@@ -93,9 +53,18 @@ class AsyncSubmitted:
             CampaignUnfinished: It was cancelled, or paused.
             TimeoutError: It still runs after that time.
         """
+        deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
+
+        def check(found: Progress) -> None:
+            if time.monotonic() >= deadline:
+                raise TimeoutError(
+                    f"campaign {self.id} still runs after {timeout_s:g} s: {found.simulations:,} of "
+                    f"{found.budget:,} simulations, {found.workers or 'no'} workers"
+                )
+
         async with self._connection.open() as api:
             with display_of(progress) as display:
-                check_finished(await watch(api, self.id, display, timeout_s))
+                check_finished(await follow(api, self.id, display, check=check))
         return await self.result()
 
     async def result(self) -> AsyncResult:
@@ -160,14 +129,12 @@ class AsyncClient:
             status: ``running``, ``paused``, ``finished``, ``cancelled`` or ``failed``; None for all.
         """
         params: dict[str, str | int] = {"limit": _PAGE} | ({} if status is None else {"status": status})
-        found: list[AsyncSubmitted] = []
         async with self._connection.open() as api:
-            while True:
-                page = await api.read(CampaignList, "/campaigns", params)
-                found += [AsyncSubmitted(self._connection, view.id, view.name) for view in page.campaigns]
-                if page.next is None:
-                    return found
-                params["cursor"] = page.next
+            return [
+                AsyncSubmitted(self._connection, view.id, view.name)
+                async for page in api.pages(CampaignList, "/campaigns", params)
+                for view in page.campaigns
+            ]
 
 
 class Submitted(Synchronous[AsyncSubmitted]):
@@ -236,8 +203,8 @@ def connect(url: str | None = None, token: str | None = None, *, database: str |
 def _connection(url: str | None, token: str | None, database: str | None) -> Connection:
     chosen = url or (None if database else os.environ.get("BRINK_SERVER"))
     if chosen:
-        return Coordinator(chosen, token or os.environ.get("BRINK_TOKEN") or None)
-    return LocalDatabase(settings_of(database))
+        return Connection(chosen, token or os.environ.get("BRINK_TOKEN") or None)
+    return Connection.local(settings_of(database))
 
 
 def settings_of(database: str | None, model: LlmSettings | None = None) -> Settings:

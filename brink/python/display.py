@@ -2,36 +2,15 @@
 
 import html
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, Protocol, Self
+from typing import Any
 
+from brink.api.following import Display, Silent
 from brink.api.live import CampaignDisplay, duration, failures_of, failures_words, rate_of
 from brink.api.terminal import PlainConsole
 from brink.server.api.schemas import Progress
 
 
-class Display(Protocol):
-    """Shows the progress of a campaign."""
-
-    @property
-    def generations(self) -> int:
-        """Number of generations shown so far, which is the cursor of the next request."""
-        ...
-
-    def show(self, progress: Progress) -> None:
-        """Show the progress."""
-        ...
-
-
-class Silent:
-    """Shows nothing."""
-
-    generations = 0
-
-    def show(self, progress: Progress) -> None:
-        """Show nothing."""
-
-
-class NotebookDisplay:
+class NotebookDisplay(Silent):
     """A progress bar in the output of a notebook's cell, updated in place."""
 
     def __init__(self) -> None:
@@ -39,14 +18,6 @@ class NotebookDisplay:
 
         self._html: Any = HTML
         self._handle: Any = display(HTML(""), display_id=True)  # type: ignore[no-untyped-call]
-        self.generations = 0
-
-    def __enter__(self) -> Self:
-        """Begin."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End; the last state remains visible."""
 
     def show(self, progress: Progress) -> None:
         """Show the progress of a campaign."""
@@ -75,7 +46,7 @@ def progress_html(progress: Progress) -> str:
     )
 
 
-def display_of(wanted: bool) -> AbstractContextManager[Display]:
+def display_of(wanted: bool) -> AbstractContextManager[Display[Progress]]:
     """Return the display that suits the environment of this process.
 
     Args:
@@ -84,7 +55,7 @@ def display_of(wanted: bool) -> AbstractContextManager[Display]:
     if not wanted:
         return nullcontext(Silent())
     if in_notebook():
-        return NotebookDisplay()
+        return nullcontext(NotebookDisplay())
     return CampaignDisplay(PlainConsole(stderr=True))
 
 

@@ -4,11 +4,11 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from brink.api.follow_ups import OPEN
 from brink.api.live import failures_of
-from brink.python.client import check_finished
 from brink.python.connection import environment_with
 from brink.python.local import run_body
-from brink.python.result import AsyncResult, CampaignUnfinished, Result
+from brink.python.result import AsyncResult, CampaignUnfinished, Result, check_finished
 from brink.python.start import Start, started
 from brink.python.synchronous import synchronous
 from brink.search.errors import SpaceError
@@ -108,7 +108,7 @@ async def search_async(
             body,
             workers=workers,
             database=database,
-            statuses=(CampaignStatus.RUNNING, CampaignStatus.PAUSED) if resume else (),
+            statuses=OPEN if resume else (),
             progress=progress,
             environment=environment,
             check=_check_calls,

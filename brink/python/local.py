@@ -1,29 +1,22 @@
 """Running a campaign on this machine from Python, with a coordinator and workers of its own."""
 
-import asyncio
-import contextlib
-from collections.abc import Callable, Mapping
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
 
-from brink.api.client import Api, CoordinatorError
-from brink.api.earlier import earlier_run
+from brink.api.follow_ups import OPEN
 from brink.api.live import earlier_words
+from brink.api.runs import CampaignRun, resume_or_submit
 from brink.api.terminal import PlainConsole
 from brink.python.campaign import CampaignLike, body_of
-from brink.python.client import check_finished, settings_of
-from brink.python.connection import LocalDatabase, local_workers
-from brink.python.display import Display, display_of, in_notebook
-from brink.python.result import AsyncResult, Result
+from brink.python.client import settings_of
+from brink.python.connection import Connection, with_workers
+from brink.python.display import display_of, in_notebook
+from brink.python.result import AsyncResult, Result, check_finished
 from brink.python.synchronous import synchronous
-from brink.server.api.schemas import CampaignView, Progress
+from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.plan import check_submission
 from brink.server.problems.catalogue import check_extra
-from brink.server.runtime.coordinator import WorkerProcesses
 from brink.server.states import CampaignStatus
-
-POLL_S: Final = 0.3
-_UNFINISHED: Final = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
 
 
 async def run_async(
@@ -61,7 +54,7 @@ async def run_async(
     body = body_of(campaign)
     checked, _ = check_submission(body)
     check_extra(checked.plan.problem)
-    statuses = (*_UNFINISHED, CampaignStatus.FINISHED) if resume else ()
+    statuses = (*OPEN, CampaignStatus.FINISHED) if resume else ()
     return await run_body(body, workers=workers, database=database, statuses=statuses, progress=progress)
 
 
@@ -73,7 +66,7 @@ async def run_body(
     *,
     workers: int,
     database: str | None,
-    statuses: tuple[CampaignStatus, ...],
+    statuses: Sequence[CampaignStatus],
     progress: bool,
     environment: Mapping[str, str] | None = None,
     check: Callable[[Progress], None] = check_finished,
@@ -92,51 +85,16 @@ async def run_body(
     Raises:
         CampaignUnfinished: The campaign was cancelled, or paused after too many failures.
     """
-    settings = settings_of(database, body.llm)
-    async with local_workers(settings, workers, environment) as (api, processes):
-        campaign, earlier, other = await _start(api, body, statuses)
-        try:
-            with display_of(progress) as display:
-                check(found := await _watch(api, campaign, display, processes))
-        except asyncio.CancelledError:
-            await asyncio.shield(_pause(api, campaign))
-            raise
-    note = earlier_words(found) if earlier else other
-    result = await AsyncResult.fetch(LocalDatabase(settings), campaign, note)
+    connection = Connection.local(settings_of(database, body.llm))
+    work = CampaignRun(body)
+    async with with_workers(connection, workers, environment) as session:
+        found = await work.latest(session.api, statuses) if statuses else None
+        campaign, _ = await resume_or_submit(work, session.api, found)
+        with display_of(progress) as display:
+            check(ended := await session.follow(campaign, display, [f"/campaigns/{campaign}"]))
+    is_earlier = found is not None and found.status is CampaignStatus.FINISHED
+    note = earlier_words(ended) if is_earlier else work.note
+    result = await AsyncResult.fetch(connection, campaign, note)
     if note and progress and not in_notebook():  # a notebook shows the result, which says so itself
         PlainConsole(stderr=True).print(f"{result.name}: {note}", soft_wrap=True)
     return result
-
-
-async def _start(api: Api, body: CampaignBody, statuses: tuple[CampaignStatus, ...]) -> tuple[str, bool, str]:
-    """Return the id of the campaign to watch, an earlier run or a new one, and whether it had finished before.
-
-    The last value says that there is an earlier run with other code of a plug-in, if there is.
-    """
-    other = ""
-    if statuses:
-        found, other = await earlier_run(api, body, [body.document_hash()], statuses)
-        if found is not None:
-            if found.status is CampaignStatus.PAUSED:
-                await api.post(f"/campaigns/{found.id}/resume")
-            return found.id, found.status is CampaignStatus.FINISHED, ""
-    campaign = await api.send(CampaignView, "/campaigns", body.model_dump(mode="json"))
-    return campaign.id, False, other
-
-
-async def _watch(api: Api, campaign: str, display: Display, processes: WorkerProcesses) -> Progress:
-    """Show progress while the campaign runs, and replace workers that died."""
-    while True:
-        params = {"since": display.generations}
-        progress = await api.read(Progress, f"/campaigns/{campaign}/progress", params)
-        display.show(progress)
-        if progress.status is not CampaignStatus.RUNNING:
-            return progress
-        processes.replace_dead()
-        await asyncio.sleep(POLL_S)
-
-
-async def _pause(api: Api, campaign: str) -> None:
-    """Pause a campaign, which takes no workers until it is resumed."""
-    with contextlib.suppress(CoordinatorError):
-        await api.post(f"/campaigns/{campaign}/pause")

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from brink.api.client import Api, CoordinatorError
 from brink.api.follow_ups import continue_follow_up, follow_up_requests
+from brink.api.following import Silent, go_on
 from brink.api.live import failures_of
 from brink.api.results import (
     TRACE_TIMEOUT_S,
@@ -60,7 +61,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-FOLLOW_UP_POLL_S: Final = 0.5
 _VIOLATION: Final[Mapping[str, type]] = {
     "number": int,
     "requirement": str,
@@ -77,6 +77,17 @@ _VIOLATION: Final[Mapping[str, type]] = {
 
 class CampaignUnfinished(ServerError):
     """A campaign ended without finishing: it was cancelled, or paused after too many failures."""
+
+
+def check_finished(progress: Progress) -> None:
+    """Check that a campaign has finished.
+
+    Raises:
+        CampaignUnfinished: It was cancelled, or paused by a user or after too many failures.
+    """
+    if progress.status is not CampaignStatus.FINISHED:
+        reason = f": {progress.status_reason}" if progress.status_reason else ""
+        raise CampaignUnfinished(f"campaign {progress.id} is {progress.status}{reason}")
 
 
 @dataclass(slots=True, kw_only=True)
@@ -283,11 +294,14 @@ class AsyncResult(CampaignResult):
                 "confirm", "expected confirm=30, component=True or minimise=True; got neither"
             )
         with environment_with(self.function) as environment:
-            async with with_workers(self._connection, workers, environment) as api:
+            async with with_workers(self._connection, workers, environment) as session:
+                api = session.api
                 for request in asked:
                     view = await api.send(FollowUpView, f"/campaigns/{self.id}/pairs/follow-ups", request)
                     await continue_follow_up(api, view)
-                    await _ended(api, view.campaign, waits=self._connection.has_workers)
+                    check = go_on if session.processes is None else _check_runnable
+                    paths = [f"/campaigns/{view.campaign}"]
+                    check_finished(await session.follow(view.campaign, Silent(), paths, check))
                 self._words.finding = await _finding(api, self._progress)
         return await self.pairs()
 
@@ -520,30 +534,18 @@ def _what_to_try(progress: Progress, view: PairsView) -> str:
     return f"{more}."
 
 
-async def _ended(api: Api, campaign: str, *, waits: bool) -> None:
-    """Wait for the end of a follow-up.
-
-    Args:
-        api: Where it is simulated.
-        campaign: Its id.
-        waits: Whether workers that can simulate it may still come.
+def _check_runnable(progress: Progress) -> None:
+    """Check that workers of this machine can simulate a follow-up; none will come from elsewhere.
 
     Raises:
-        CampaignUnfinished: It was cancelled or paused, or no worker can simulate it and none will come.
+        CampaignUnfinished: They cannot.
     """
-    while True:
-        progress = await api.read(Progress, f"/campaigns/{campaign}/progress")
-        if progress.status is CampaignStatus.FINISHED:
-            return
-        if progress.status is not CampaignStatus.RUNNING:
-            raise CampaignUnfinished(f"campaign {campaign} is {progress.status}: {progress.status_reason}")
-        if progress.workers and progress.unrunnable and not progress.leased and not waits:
-            raise CampaignUnfinished(
-                f"campaign {campaign} waits for {' and '.join(progress.waits_for.values())}, and no worker of this "
-                "machine is one: install the extra, name the plug-in in BRINK_PLUGINS, or, for a function, ask the "
-                "result that brink.search() returned"
-            )
-        await asyncio.sleep(FOLLOW_UP_POLL_S)
+    if progress.workers and progress.unrunnable and not progress.leased:
+        raise CampaignUnfinished(
+            f"campaign {progress.id} waits for {' and '.join(progress.waits_for.values())}, and no worker of this "
+            "machine is one: install the extra, name the plug-in in BRINK_PLUGINS, or, for a function, ask the "
+            "result that brink.search() returned"
+        )
 
 
 def _cell_row(cell: Mapping[str, Any]) -> dict[str, Any]:

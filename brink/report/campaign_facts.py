@@ -248,16 +248,13 @@ def _rules(fetched: FetchedArchive) -> tuple[Rules | None, str]:
 async def _jobs(api: Api, campaign: str) -> Jobs:
     """Count the sources of results: a job that was never leased took its result from an identical one."""
     simulated = cached = repeated = 0
-    after: int | None = 0
-    while after is not None:
-        params = {"campaign": campaign, "status": JobStatus.DONE.value, "after": after, "limit": _JOBS}
-        page = await api.read(JobList, "/jobs", params)
+    params = {"campaign": campaign, "status": JobStatus.DONE.value, "limit": _JOBS}
+    async for page in api.pages(JobList, "/jobs", params):
         for job in page.jobs:
             if job.kind != "trace":
                 simulated += job.attempt > 0
                 cached += job.attempt == 0
                 repeated += job.attempt > 1
-        after = page.next
     return Jobs(simulated=simulated, cached=cached, repeated=repeated)
 
 

@@ -239,8 +239,8 @@ class WorkerProcesses:
 @contextlib.contextmanager
 def local_coordinator(
     settings: Settings, worker_log: Path, *, any_port: bool = False
-) -> Iterator[tuple[str, str | None, WorkerProcesses]]:
-    """Yield URL, token and workers of a coordinator in this process; all are stopped at the end of the block.
+) -> Iterator[WorkerProcesses]:
+    """Yield the workers of a coordinator in this process; all are stopped at the end of the block.
 
     Args:
         settings: Settings of the coordinator. Its database is created or upgraded.
@@ -266,7 +266,7 @@ def local_coordinator(
     token = settings.token.get_secret_value() if settings.token else None
     processes = WorkerProcesses(url=coordinator.url, log_file=worker_log, token=token)
     try:
-        yield coordinator.url, token, processes
+        yield processes
     finally:
         processes.stop()
         coordinator.stop()

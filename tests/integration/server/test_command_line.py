@@ -274,11 +274,11 @@ def test_run_takes_another_port_if_the_usual_one_is_in_use(database_url: str, tm
             local_coordinator(settings, tmp_path / "log"),
         ):
             pass
-        with local_coordinator(settings, tmp_path / "log", any_port=True) as (url, _, _):
-            assert httpx.get(f"{url}/healthz").status_code == 200
-            assert not url.endswith(f":{settings.port}")
-    with local_coordinator(settings, tmp_path / "log", any_port=True) as (url, _, _):
-        assert url.endswith(f":{settings.port}"), "the address of the last run is that of the next"
+        with local_coordinator(settings, tmp_path / "log", any_port=True) as workers:
+            assert httpx.get(f"{workers.url}/healthz").status_code == 200
+            assert not workers.url.endswith(f":{settings.port}")
+    with local_coordinator(settings, tmp_path / "log", any_port=True) as workers:
+        assert workers.url.endswith(f":{settings.port}"), "the address of the last run is that of the next"
 
 
 def test_commands_read_the_same_from_a_database_and_from_a_server(

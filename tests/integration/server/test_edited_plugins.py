@@ -12,9 +12,8 @@ from support.problems import SIMULATOR
 from typer.testing import CliRunner
 
 from brink.api.client import Api
+from brink.api.runs import CampaignRun, ExperimentRun
 from brink.cli.commands import app
-from brink.cli.experiment_run import ExperimentRun
-from brink.cli.run import CampaignRun
 from brink.server.campaigns.body import parse_body
 from brink.server.db.engine import Engines
 from brink.server.experiments.body import parse_experiment

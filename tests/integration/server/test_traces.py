@@ -30,7 +30,7 @@ from support.traces import filmed, grey_jpeg, make_trace
 
 import brink.server.campaigns.plan
 from brink.api.client import Api
-from brink.cli.run import CampaignRun
+from brink.api.runs import CampaignRun
 from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.checks import PLUGIN_CHECKS_AT_ONCE, SLOW_AT_ONCE

@@ -8,10 +8,10 @@ import httpx
 import pytest
 from support.progress import PROGRESS
 
+from brink.api import following
 from brink.api.client import Api
 from brink.api.live import waits_words
-from brink.cli import campaigns
-from brink.cli.campaigns import follow, waiting_words
+from brink.cli.campaigns import waiting_words, watch_campaign
 from brink.server.api.schemas import Progress
 from brink.sim.catalogue import worker_for
 
@@ -71,14 +71,14 @@ def test_nothing_is_said_while_something_happens(changes: dict[str, Any]) -> Non
 def test_watching_says_it_once_each_time(
     as_json: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(campaigns, "POLL_S", 0.0)
+    monkeypatch.setattr(following, "POLL_S", 0.0)
     seen = [stands(), stands(), stands(workers=1, leased=4), stands(), stands(), stands(status="finished")]
     answers: Iterator[dict[str, Any]] = iter(seen)
 
     async def work() -> bool:
         transport = httpx.MockTransport(lambda _: httpx.Response(200, json=next(answers)))
         async with httpx.AsyncClient(transport=transport, base_url=SERVER) as client:
-            return await follow(Api(client, SERVER), "3f2a", as_json=as_json)
+            return await watch_campaign(Api(client, SERVER), "3f2a", as_json=as_json)
 
     assert asyncio.run(work())
     shown = capsys.readouterr()
