@@ -7,8 +7,7 @@ from typing import Final
 
 from brink.api.client import Api, CoordinatorError
 from brink.api.results import FetchedArchive, NoTrace, read_all_pairs
-from brink.report.pair_pictures import findings, write_pair
-from brink.report.pair_words import common_words, evidence_words, legend
+from brink.report.pair_pictures import write_pair
 from brink.search.errors import TooManyPairs
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView, PairView
 from brink.server.findings.table import FORMATS, has_parquet
@@ -68,22 +67,24 @@ class PairEvidence:
             return "\n\n".join(parts)
         rows = [
             f"| {pair.place} | {_cell(as_sentence(pair.change))} | {_cell(pair.unsafe.outcome)} | "
-            f"{_cell(pair.safe.outcome)} | {_cell(evidence_words(view, pair))} |"
+            f"{_cell(pair.safe.outcome)} | {_cell(', '.join(pair.evidence))} |"
             for pair in view.pairs
         ]
         head = "| pair | change | unsafe side | safe side | evidence |\n|---:|---|---|---|---|"
         parts += [
             "\n".join([head, *rows]),
-            "\n".join(f"- {as_sentence(words)}." for words in legend(view)),
+            "\n".join(f"- {as_sentence(words)}." for words in view.legend),
             *(self._shown(pair) for pair in view.pairs if pair.place in self.drawn),
         ]
         return "\n\n".join(parts)
 
     def _shown(self, pair: PairView) -> str:
         """Return a pair with its picture."""
-        told = [f"{as_sentence(words)}." for words in (pair.words, *common_words(pair))]
+        told = [f"{as_sentence(pair.words)}."]
+        if pair.common:
+            told.append(f"In both: {pair.common}.")
         picture, *films = self.drawn[pair.place]
-        told += [*findings(pair), *(f"[Film]({path})." for path in films)]
+        told += [*pair.shown, *(f"[Film]({path})." for path in films)]
         return f"## Pair {pair.place}\n\n{' '.join(told)}\n\n![Pair {pair.place}]({picture})"
 
 

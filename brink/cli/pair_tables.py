@@ -5,8 +5,8 @@ from rich.table import Table
 from rich.text import Text
 
 from brink.cli.options import plain_table, print_sentence
-from brink.report.pair_words import common_words, evidence_words, extent_words, legend
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView
+from brink.server.findings.pairs.words import extent_words
 from brink.server.problems.changes import as_sentence
 
 
@@ -34,7 +34,7 @@ def print_pairs(screen: Console, view: PairsView) -> None:
 
 def print_legend(screen: Console, view: PairsView) -> None:
     """Print the meaning of the table's terms, and the limits of what pairs show."""
-    for words in legend(view):
+    for words in view.legend:
         print_sentence(screen, words, style="dim")
     if view.caveat:
         print_sentence(screen, view.caveat)
@@ -49,7 +49,7 @@ def pairs_table(view: PairsView, shown: int | None = None) -> Table:
         lines = [
             as_sentence(pair.change),
             *([f"({pair.moved})"] if pair.moved else []),
-            *common_words(pair),
+            *([f"in both: {pair.common}"] if pair.common else []),
             f"unsafe, solution {pair.unsafe.number}: {pair.unsafe.outcome}",
             f"safe, solution {pair.safe.number}: {pair.safe.outcome}",
         ]
@@ -57,6 +57,6 @@ def pairs_table(view: PairsView, shown: int | None = None) -> Table:
         if less is not None and less.change != pair.change:
             name = "minimal" if less.minimal else "smaller"
             lines.append(f"{name} change: {less.change}: {less.outcome}")
-        evidence = [*evidence_words(view, pair).split(", "), extent_words(pair)]
+        evidence = [*pair.evidence, extent_words(pair)]
         table.add_row(str(pair.place), "\n".join([*lines, ""]), "\n".join(evidence))
     return table

@@ -8,7 +8,8 @@ import typer
 from brink.api.client import Api
 from brink.api.live import Steps
 from brink.cli.options import CampaignId, Database, Server, check_ids, console, with_api
-from brink.report.campaign import MOST_PAIRS, campaign_report, write_page
+from brink.report.campaign import campaign_report, write_page
+from brink.report.kind_pictures import MOST_PAIRS
 from brink.server.errors import InvalidInput
 
 

@@ -43,8 +43,9 @@ from brink.cli.recording_options import (
 )
 from brink.recordings.reading import formats_by_name
 from brink.report.figures import Drawing
-from brink.report.tolerance import KEY, requirement_document, tolerated_words
+from brink.report.tolerance import requirement_document
 from brink.server.errors import InvalidInput
+from brink.server.findings.tolerances.kind import KEY
 from brink.server.findings.tolerances.views import AgreementView, CellView, ToleranceView
 
 ROWS_SHOWN: Final = 30
@@ -405,7 +406,7 @@ def _show_matrix(screen: Console, view: ToleranceView) -> None:
     for cells in list(rows.values())[:ROWS_SHOWN]:
         table.add_row(
             next(iter(cells.values())).error,
-            *(" ".join(tolerated_words(cells[one])) if one in cells else "–" for one in view.conditions),
+            *(cells[one].tolerated_words if one in cells else "–" for one in view.conditions),
         )
     screen.print(table)
     _show_rest(screen, len(rows) - ROWS_SHOWN)
@@ -422,18 +423,17 @@ def tolerance_table(cells: Sequence[CellView]) -> Table:
         "error",
         "condition",
         "tolerated",
-        "",
         "screened",
         "vulnerable",
         "drives",
         "caused",
-        right=("tolerated", "screened", "vulnerable", "drives", "caused"),
+        right=("screened", "vulnerable", "drives", "caused"),
     )
     for cell in cells:
         table.add_row(
             cell.error,
             cell.condition,
-            *tolerated_words(cell),
+            cell.tolerated_words,
             str(cell.screened or ""),
             str(cell.vulnerable if cell.screened else ""),
             str(cell.drives),

@@ -35,11 +35,11 @@ from brink.python.connection import Connection, environment_with, with_workers
 from brink.python.frames import archive_frame, data_frame, table_frame, typed_frame, types_of
 from brink.python.picture import Picture
 from brink.python.synchronous import Synchronous, synchronous_method
-from brink.report.campaign import MOST_PAIRS as MOST_SHOWN
 from brink.report.campaign import campaign_report, write_page
 from brink.report.combinations import COLUMNS as CHAIN_COLUMNS
 from brink.report.combinations import combination_rows
 from brink.report.figures import VIOLATION_TYPES, campaign_figure
+from brink.report.kind_pictures import MOST_PAIRS as MOST_SHOWN
 from brink.report.pair_pictures import headline, write_pair
 from brink.report.violations import figure_types
 from brink.search.errors import TooManyPairs

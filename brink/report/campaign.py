@@ -5,7 +5,6 @@ it. The same finished campaign gives the same page.
 """
 
 import asyncio
-from collections import Counter
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,48 +15,35 @@ import yaml
 
 from brink import __version__
 from brink.api.client import Api
+from brink.api.results import TRACE_TIMEOUT_S
 from brink.report.campaign_facts import Facts, Show, fetch_facts
-from brink.report.campaign_pictures import draw_pictures, shown_pairs
-from brink.report.campaign_sections import (
-    Album,
-    Table,
-    boundary_section,
-    combinations_section,
-    detector_section,
-    outcomes_section,
-    pairs_section,
-    tolerance_section,
-    violations_section,
-)
+from brink.report.campaign_sections import Album, Section, finding_section, map_section
 from brink.report.campaign_words import (
     Range,
-    Term,
-    count,
+    figures,
     findings,
     fixed,
-    noun,
     others_recorded,
     purpose,
     ranges,
     requirement_words,
-    share,
     standing,
     subject,
     trust,
     uncertainties,
     verdicts,
 )
-from brink.report.tables import finding_section
+from brink.report.detector import COLUMNS, NUMBERS, evidence, row_of, small_print
+from brink.report.figures import Drawing
+from brink.report.kind_pictures import MOST_PAIRS, KindPictures, draw_pictures, read_pictures
 from brink.report.text import page_template
-from brink.search.analysis.combinations import MIN_PLACES
-from brink.server.findings.pairs.views import DEFAULT_CONFIRMATIONS, PairsView
-from brink.server.findings.tolerances.views import ToleranceView, Tolerated
+from brink.server.findings.finding import Term
+from brink.server.findings.table import Column, Format, Table
+from brink.server.findings.tolerances.views import DetectorView
+from brink.server.findings.words import counted
 from brink.server.problems.base import SimulatedProblem
-from brink.server.states import CampaignStatus, OutcomeKind
+from brink.server.states import CampaignStatus
 
-MOST_PAIRS: Final = 6
-WITH_SECTION: Final = ("pairs", "tolerances", "violations", "combinations", "boundary", "verdicts")
-"""Kinds of findings whose section has pictures or more; any other is told by its sentence and its tables."""
 MOST_PARAMETERS: Final = 40
 LONGEST_FILE: Final = 12_000
 """Letters of a campaign file that are printed; the file of repeats may have thousands of numbers."""
@@ -91,42 +77,37 @@ async def campaign_report(
         InvalidInput: Its problem or algorithm is not installed here.
     """
     facts = await fetch_facts(api, campaign, show, episodes=episodes)
+    kinds = await read_pictures(api, facts, most_pairs)
     if pictures is not None:
-        return await asyncio.to_thread(compose, facts, pictures, most_pairs=most_pairs)
+        return await asyncio.to_thread(_compose, facts, kinds, pictures)
     with TemporaryDirectory(prefix="brink-report-") as folder:
-        drawn = await draw_pictures(
-            api, facts, Path(folder), most_pairs=most_pairs, workers=workers, show=show
+        drawing = Drawing(
+            api=api,
+            campaign=facts.view.id,
+            folder=Path(folder),
+            stop=asyncio.Event(),
+            timeout_s=TRACE_TIMEOUT_S,
+            workers=workers,
+            show=show,
         )
-        return await asyncio.to_thread(compose, facts, drawn, most_pairs=most_pairs)
+        drawn = await draw_pictures(drawing, facts, kinds)
+        return await asyncio.to_thread(_compose, facts, kinds, drawn)
 
 
-def compose(facts: Facts, pictures: Mapping[str, Path], *, most_pairs: int = MOST_PAIRS) -> str:
+def _compose(facts: Facts, kinds: Mapping[str, KindPictures], pictures: Mapping[str, Path]) -> str:
     """Return the report of a campaign as an HTML page.
 
     Args:
         facts: What is known of the campaign.
-        pictures: Its pictures, by file name; those that are missing are left out.
-        most_pairs: Most pairs to show in full.
+        kinds: The pictures that only some kinds of its findings have.
+        pictures: The files of all pictures, by name; those that are missing are left out.
     """
     album = Album(pictures)
-    full = shown_pairs(facts, most_pairs)
-    pairs = pairs_section(facts, album, full)
-    searched = facts.searched_pairs
-    sections = [
-        pairs if searched else None,
-        tolerance_section(facts, album),
-        detector_section(facts, album),
-        violations_section(facts, album),
-        combinations_section(facts, album),
-        boundary_section(facts, album),
-        None if searched else pairs,
-        *(
-            finding_section(finding, facts.view.id)
-            for finding in facts.finding.findings
-            if finding.kind not in WITH_SECTION and not finding.is_empty
-        ),
-        outcomes_section(facts),
-    ]
+    sections = [kinds[one.kind].illustrate(finding_section(one, facts.view.id), album) for one in facts.found]
+    others = [detector_section(facts.detector, album)]
+    if not facts.finding.exclusive:
+        others.append(map_section(facts.rules, facts.fetched.plan.problem.space.titles(), album))
+    sections[1:1] = [one for one in others if one is not None]
     return page_template("campaign.html").render(
         title=facts.view.name,
         subject=subject(facts),
@@ -134,12 +115,14 @@ def compose(facts: Facts, pictures: Mapping[str, Path], *, most_pairs: int = MOS
         version=__version__,
         found=[purpose(facts), *verdicts(facts), *findings(facts)],
         uncertain=uncertainties(facts),
-        requirements=[Term(name, requirement_words(name)) for name in facts.fetched.outcomes.requirements],
+        requirements=[
+            Term(term=name, words=requirement_words(name)) for name in facts.fetched.outcomes.requirements
+        ],
         others_recorded=others_recorded(facts),
-        figures=_key_figures(facts),
-        noun=noun(facts),
-        sections=[section for section in sections if section is not None],
-        trust=trust(facts),
+        figures=figures(facts),
+        noun=facts.noun,
+        sections=sections,
+        trust=trust(facts, kinds),
         space=_space(facts),
         fixed=_fixed(facts),
         computed=_computed(facts),
@@ -162,86 +145,49 @@ def write_page(file: Path, page: str) -> int:
     return len(data)
 
 
-def _key_figures(facts: Facts) -> list[Term]:
-    """Return the key figures, each with its caption."""
-    if not facts.evaluated:
-        return []
-    view = facts.fetched.outcomes
-    unsafe = view.kinds[OutcomeKind.VIOLATED] if view.requirements else "unsafe"
-    verb = "simulated" if facts.drives else "evaluated"
-    told = [Term(f"{facts.evaluated:,}", f"{noun(facts)}s {verb}, with a verdict")]
-    if facts.tolerance is None:
-        told.append(Term(share(facts.unsafe, facts.evaluated), f"of these {unsafe}"))
-    pairs = facts.pairs
-    if facts.searched_pairs and isinstance(pairs, PairsView):
-        distinct = "distinct pair" if pairs.distinct == 1 else "distinct pairs"
-        told.append(Term(f"{pairs.distinct:,}", f"{distinct}: neighbours, one safe, one unsafe"))
-        if pairs.tried:
-            told.append(Term(f"{pairs.confirmed:,} of {pairs.tried:,}", "pairs confirmed with other seeds"))
-        told += _blamed_figures(pairs)
-    elif facts.tolerance is not None:
-        told += _tolerance_figures(facts.tolerance)
-    elif facts.violations is not None:
-        told.append(Term(f"{len(facts.violations.types):,}", "types of violations"))
-    elif facts.combinations is not None:
-        chains = facts.combinations.combinations
-        judged = [one for one in chains if one.trials >= MIN_PLACES]
-        hazardous = sum(one.hazardous for one in judged)
-        told.append(
-            Term(
-                f"{hazardous:,} of {len(judged):,}",
-                f"chains of changes hazardous, driven in {MIN_PLACES} streets or more",
-            )
-        )
-    elif "boundary" in facts.progress.finds:
-        solutions = "distinct boundary solution" + ("" if facts.boundary.dbs == 1 else "s")
-        told.append(Term(f"{facts.boundary.dbs:,}", solutions))
-    return told
+def detector_section(view: DetectorView | None, album: Album) -> Section | None:
+    """Return whether the detector of another campaign meets the requirement; None if none was named."""
+    if view is None:
+        return None
+    words = "Shares of drives that errors of this size make violate, against the limit"
+    columns = [_column(name, right=name in NUMBERS) for name in COLUMNS]
+    rows = [list(row_of(cell)) for cell in evidence(view)]
+    return Section(
+        title=f"Does {view.detector} meet the requirement?",
+        paragraphs=[f"{view.note}.", view.meaning, *small_print(view)],
+        pictures=album("detector.png", words),
+        lists=[("What to record next", [f"{words}." for words in view.next])] if view.next else [],
+        tables=[Table(name="detector", title="Results of the detector", columns=columns, rows=rows)],
+    )
 
 
-def _blamed_figures(pairs: PairsView) -> list[Term]:
-    """Return for how many pairs the component is to blame: of the confirmed ones, if there are any."""
-    blamed, asked, which = pairs.component, pairs.component + pairs.scenario, "pairs, confirmed or not"
-    if confirmed := pairs.component_confirmed + pairs.scenario_confirmed:
-        blamed, asked, which = pairs.component_confirmed, confirmed, "confirmed pairs"
-    if not asked:
-        return []
-    return [
-        Term(f"{blamed:,} of {asked:,}", f"{which}: the component is to blame, judged with one seed each")
-    ]
-
-
-def _tolerance_figures(view: ToleranceView) -> list[Term]:
-    found = Counter(cell.tolerated.finding for cell in view.cells)
-    return [
-        Term(f"{found[Tolerated.LIMIT]:,} of {len(view.cells):,}", "cells with a limit within the scale"),
-        Term(f"{found[Tolerated.THROUGHOUT]:,}", "cells in which no limit was found"),
-        Term(f"{found[Tolerated.UNDECIDED]:,}", "cells undecided"),
-    ]
+def _column(name: str, *, right: bool = False) -> Column:
+    """Return a column of texts."""
+    return Column(name=name, title=name, format=Format.NUMBER if right else Format.TEXT)
 
 
 def _space(facts: Facts) -> Table | None:
     if not facts.evaluated:
         return None
     found: list[Range] = ranges(facts.columns)
-    rows = [
-        (one.component.replace("_", " "), one.names.replace("_", " "), one.values)
-        for one in found[:MOST_PARAMETERS]
-    ]
-    more = len(found) - len(rows)
     return Table(
-        label="What was varied",
-        columns=("component", "parameter", "range"),
-        rows=rows,
-        more=f"{more} more" if more else "",
+        name="space",
+        title="What was varied",
+        columns=[_column(name) for name in ("component", "parameter", "range")],
+        rows=[
+            [one.component.replace("_", " "), one.names.replace("_", " "), one.values]
+            for one in found[:MOST_PARAMETERS]
+        ],
+        left_out=max(0, len(found) - MOST_PARAMETERS),
     )
 
 
 def _fixed(facts: Facts) -> Table | None:
-    rows = fixed(facts)
-    if not rows:
-        return None
-    return Table(label="What was not varied", columns=("parameter", "value", "meaning"), rows=rows)
+    rows = [list(row) for row in fixed(facts)]
+    columns = [_column(name) for name in ("parameter", "value", "meaning")]
+    return (
+        Table(name="fixed", title="What was not varied", columns=columns, rows=list(rows)) if rows else None
+    )
 
 
 def _computed(facts: Facts) -> list[Term]:
@@ -249,34 +195,40 @@ def _computed(facts: Facts) -> list[Term]:
     provenance = (facts.sample.provenance if facts.sample is not None else None) or {}
     versions = {"brink": __version__, **provenance}
     told = [
-        Term("Campaign", f"{view.id} ({view.name})"),
-        Term("Problem", f"{view.body.problem.id}: {problem.summary}"),
-        Term("Algorithm", f"{view.body.algorithm.id}: {facts.fetched.plan.algorithm.summary}"),
-        Term("Budget", f"{count(view.budget, 'simulation')}, of which {progress.simulations:,} were made"),
-        Term("Seed", f"{view.body.seed}"),
-        Term("Submitted", _moment(view.created_at)),
+        Term(term="Campaign", words=f"{view.id} ({view.name})"),
+        Term(term="Problem", words=f"{view.body.problem.id}: {problem.summary}"),
+        Term(term="Algorithm", words=f"{view.body.algorithm.id}: {facts.fetched.plan.algorithm.summary}"),
+        Term(
+            term="Budget",
+            words=f"{counted(view.budget, 'simulation')}, of which {progress.simulations:,} were made",
+        ),
+        Term(term="Seed", words=f"{view.body.seed}"),
+        Term(term="Submitted", words=_moment(view.created_at)),
     ]
     if view.finished_at is not None:
-        told.append(Term("Ended", _moment(view.finished_at)))
+        told.append(Term(term="Ended", words=_moment(view.finished_at)))
     told.append(
-        Term("Time", f"{progress.elapsed_s:,.0f} s from submission to {'end' if facts.ended else 'now'}")
+        Term(
+            term="Time",
+            words=f"{progress.elapsed_s:,.0f} s from submission to {'end' if facts.ended else 'now'}",
+        )
     )
     if isinstance(problem, SimulatedProblem):
-        told.append(Term("Simulator", str(provenance.get("simulator", problem.needs))))
-        told.append(Term("Workers", "not recorded: results do not depend on how many there are"))
+        told.append(Term(term="Simulator", words=str(provenance.get("simulator", problem.needs))))
+        told.append(Term(term="Workers", words="not recorded: results do not depend on how many there are"))
     known = [
         f"{name} {versions[name]}" for name in ("brink", "python", "numpy", "pybullet") if name in versions
     ]
-    told.append(Term("Versions", ", ".join(known)))
+    told.append(Term(term="Versions", words=", ".join(known)))
     if "instruction_set" in provenance:
         told.append(
             Term(
-                "Arithmetic",
-                f"{provenance['instruction_set']}: machines with the same value agree bit for bit",
+                term="Arithmetic",
+                words=f"{provenance['instruction_set']}: machines with the same value agree bit for bit",
             )
         )
     if progress.digest:
-        told.append(Term("Archive", f"SHA-256 {progress.digest}"))
+        told.append(Term(term="Archive", words=f"SHA-256 {progress.digest}"))
     return told
 
 
@@ -310,20 +262,12 @@ def _again(facts: Facts) -> str:
 
 def _commands(facts: Facts) -> list[Term]:
     """Return commands with their purposes."""
-    campaign, pairs, told = facts.view.id, facts.pairs, []
+    campaign, told = facts.view.id, []
     if _campaign_file(facts):
-        told.append(Term("brink run campaign.yaml --workers 2", _again(facts)))
-    if isinstance(pairs, PairsView) and pairs.distinct and not facts.computed and not pairs.tried:
-        options = f"--confirm {DEFAULT_CONFIRMATIONS}"
-        if facts.fetched.plan.problem.has_component:
-            options += " --component"
-        told.append(Term(f"brink pairs {campaign} {options}", "ask whether the pairs hold with other seeds"))
-    elif facts.boundary.dbs and not facts.computed and not facts.repeats and not facts.searched_pairs:
-        told.append(Term(f"brink repeats {campaign}", "simulate the boundary again with other seeds"))
-    told.append(
-        Term(
-            f"brink export {campaign} --out campaign.brink", "hand on all results, for brink import elsewhere"
-        )
-    )
-    told.append(Term(f"brink report {campaign} --out report.html", "write this page again"))
-    return told
+        told.append(("brink run campaign.yaml --workers 2", _again(facts)))
+    told += [(step.command, step.question) for step in facts.finding.steps if step.command]
+    told += [
+        (f"brink export {campaign} --out campaign.brink", "hand on all results, for brink import elsewhere"),
+        (f"brink report {campaign} --out report.html", "write this page again"),
+    ]
+    return [Term(term=command, words=words) for command, words in dict(told).items()]

@@ -4,25 +4,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
-from brink.api.client import Api, CoordinatorError
+from brink.api.client import Api
 from brink.api.live import failures_of
-from brink.api.results import FetchedArchive, fetch_archive, read_all_pairs
-from brink.report.comparison import compared_archives
-from brink.search.analysis.comparison import control_summaries
+from brink.api.results import FetchedArchive, fetch_archive
 from brink.search.analysis.dependence import ParameterColumn, parameter_columns
 from brink.search.analysis.rules import Rules, region_rules
-from brink.search.errors import MissingExtra, TooManyPairs, UnsupportedSpace
-from brink.search.slots import slots_of
+from brink.search.errors import MissingExtra
 from brink.server.api.schemas import CampaignList, CampaignView, JobList, Progress
-from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.findings.boundary.repeat_views import RepeatsView
-from brink.server.findings.boundary.views import Boundary
-from brink.server.findings.combinations.views import Combinations
-from brink.server.findings.finding import Findings
-from brink.server.findings.pairs.views import PairsView
-from brink.server.findings.tolerances.views import DetectorView, ToleranceView
-from brink.server.findings.violations.views import Violations
-from brink.server.problems.base import InProcessProblem, ReportsViolations
+from brink.server.findings.finding import Finding, Findings
+from brink.server.findings.tolerances.views import DetectorView
+from brink.server.problems.base import InProcessProblem
 from brink.server.problems.catalogue import is_baseline
 from brink.server.states import CampaignStatus, JobStatus
 from brink.server.views import SolutionView
@@ -32,6 +24,8 @@ Show: TypeAlias = Callable[[str, int, int], None]
 OPEN: Final = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
 LISTED: Final = 200
 """Campaigns among which random search on the same problem is looked for, newest first."""
+MOST_ROWS: Final = 20
+"""Rows of each table."""
 _JOBS: Final = 1000
 _ALL_GENERATIONS: Final = 10**9
 """Cursor beyond the last generation of every campaign, for progress without its series of generations."""
@@ -52,21 +46,6 @@ class Jobs:
     repeated: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RandomSearch:
-    """A finished campaign of random search on the same problem.
-
-    Attributes:
-        campaign: The campaign.
-        evaluated: Its solutions with a verdict.
-        found: What it found of what the campaign of the report looks for, in words; empty if that is not known.
-    """
-
-    campaign: CampaignView
-    evaluated: int
-    found: str
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Facts:
     """The facts about a campaign.
@@ -74,20 +53,14 @@ class Facts:
     Attributes:
         view: The campaign.
         progress: Its counts.
-        finding: What it found in a sentence, and the campaign that it follows up, if any.
+        finding: What it found, and the campaign that it follows up, if any.
         fetched: Its archive.
-        pairs: Its pairs, or that there are too many.
-        boundary: Its distinct boundary solutions.
-        violations: Types of violations, if its simulator reports their circumstances.
-        combinations: Chains of techniques, if it perturbs images.
-        tolerance: Tolerances, if it looks for them.
-        detector: Whether the detector of another campaign meets them; None if none was named.
+        detector: Whether the detector of another campaign meets its tolerances; None if none was named.
         repeats: Simulations of its solutions with other seeds, in separate campaigns.
-        control: A sentence for each comparison with its control.
         rules: The rules of its unsafe region.
         no_rules: Why there are none; empty if there are some, or nothing to explain.
         jobs: Where its results came from; None if verdicts are computed.
-        random: Random search on the same problem.
+        random: Random search on the same problem, the largest first.
         sample: Its first evaluated solution, with provenance.
     """
 
@@ -95,18 +68,12 @@ class Facts:
     progress: Progress
     finding: Findings
     fetched: FetchedArchive
-    pairs: PairsView | TooManyPairs
-    boundary: Boundary
-    violations: Violations | None
-    combinations: Combinations | None
-    tolerance: ToleranceView | None
     detector: DetectorView | None
     repeats: Sequence[RepeatsView]
-    control: Sequence[str]
     rules: Rules | None
     no_rules: str
     jobs: Jobs | None
-    random: Sequence[RandomSearch]
+    random: Sequence[CampaignView]
     sample: SolutionView | None
 
     @property
@@ -149,14 +116,14 @@ class Facts:
         return self.fetched.plan.problem.records_traces
 
     @property
-    def searched_pairs(self) -> bool:
-        """Whether the campaign searched for pairs."""
-        return self.progress.is_for("pairs")
+    def noun(self) -> str:
+        """What a solution is called."""
+        return "drive" if self.drives else "solution"
 
     @property
-    def searched_violations(self) -> bool:
-        """Whether the campaign searched for different violations."""
-        return self.progress.is_for("violations")
+    def found(self) -> list[Finding]:
+        """The findings that there are, what the campaign was for first."""
+        return [one for one in self.finding.findings if not one.is_empty]
 
 
 async def fetch_facts(api: Api, campaign: str, show: Show, *, episodes: str | None = None) -> Facts:
@@ -176,24 +143,12 @@ async def fetch_facts(api: Api, campaign: str, show: Show, *, episodes: str | No
     view = await api.read(CampaignView, f"/campaigns/{campaign}")
     path = f"/campaigns/{view.id}"
     progress = await api.read(Progress, f"{path}/progress", {"since": _ALL_GENERATIONS})
-    finding = await api.read(Findings, f"{path}/findings")
+    finding = await api.read(Findings, f"{path}/findings", {"rows": MOST_ROWS})
     fetched = await fetch_archive(api, view.id)
-    show("looking for pairs", 0, 0)
-    pairs = await read_all_pairs(api, view.id)
-    boundary = await api.read(Boundary, f"{path}/boundary", {"t_b": DEFAULT_T_B, "d_th": DEFAULT_D_TH})
     problem, archive = fetched.plan.problem, fetched.archive
-    show("comparing with a control and with random search", 0, 0)
-    control: Sequence[str] = ()
-    if progress.is_for("boundary") and len(archive):
-        control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
+    show("comparing with random search", 0, 0)
     rules, no_rules = _rules(fetched)
-    violations = combinations = tolerance = detector = None
-    if isinstance(problem, ReportsViolations):
-        violations = await api.read(Violations, f"{path}/violations")
-    if _has_slots(fetched):
-        combinations = await api.read(Combinations, f"{path}/combinations")
-    if progress.is_for("tolerances"):
-        tolerance = await api.read(ToleranceView, f"{path}/tolerance")
+    detector = None
     if episodes is not None:
         detector = await api.read(DetectorView, f"{path}/tolerance/detector", {"episodes": episodes})
     first = int(archive.numbers[0]) if len(archive) else None
@@ -202,28 +157,14 @@ async def fetch_facts(api: Api, campaign: str, show: Show, *, episodes: str | No
         progress=progress,
         finding=finding,
         fetched=fetched,
-        pairs=pairs,
-        boundary=boundary,
-        violations=violations,
-        combinations=combinations,
-        tolerance=tolerance,
         detector=detector,
         repeats=await api.read(list[RepeatsView], f"{path}/repeats"),
-        control=control,
         rules=rules,
         no_rules=no_rules,
         jobs=None if isinstance(problem, InProcessProblem) else await _jobs(api, view.id),
-        random=await _random_search(api, view, pairs),
+        random=await _random_search(api, view),
         sample=None if first is None else await api.read(SolutionView, f"{path}/solutions/{first}"),
     )
-
-
-def _has_slots(fetched: FetchedArchive) -> bool:
-    try:
-        slots_of(fetched.plan.problem.space)
-    except UnsupportedSpace:
-        return False
-    return True
 
 
 def _rules(fetched: FetchedArchive) -> tuple[Rules | None, str]:
@@ -258,9 +199,7 @@ async def _jobs(api: Api, campaign: str) -> Jobs:
     return Jobs(simulated=simulated, cached=cached, repeated=repeated)
 
 
-async def _random_search(
-    api: Api, view: CampaignView, pairs: PairsView | TooManyPairs
-) -> Sequence[RandomSearch]:
+async def _random_search(api: Api, view: CampaignView) -> Sequence[CampaignView]:
     """Return finished campaigns of random search on the same problem, the largest first."""
     if is_baseline(view.body.algorithm.id):
         return []
@@ -272,25 +211,4 @@ async def _random_search(
         and one.body.problem == view.body.problem
         and one.body.ground_truth == view.body.ground_truth
     ]
-    found.sort(key=lambda one: -one.simulations)
-    return [
-        RandomSearch(
-            campaign=one,
-            evaluated=one.simulations - one.failed - one.measured,
-            found=await _found_pairs(api, one.id, pairs),
-        )
-        for one in found[:1]
-    ]
-
-
-async def _found_pairs(api: Api, campaign: str, pairs: PairsView | TooManyPairs) -> str:
-    """Return how many pairs a campaign found with the settings of another one that searched for pairs."""
-    if isinstance(pairs, TooManyPairs) or not pairs.searched:
-        return ""
-    params = {"limit": 1, "eps": pairs.eps, "d_th": pairs.d_th}
-    try:
-        there = await api.read(PairsView, f"/campaigns/{campaign}/pairs", params)
-    except CoordinatorError:
-        return ""  # too many to tell apart
-    noun = "pair" if there.distinct == 1 else "pairs"
-    return f"{there.distinct or 'no'} distinct {noun}"
+    return sorted(found, key=lambda one: -one.simulations)

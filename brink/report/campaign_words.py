@@ -10,14 +10,15 @@ import numpy as np
 
 from brink.api.live import failures_of
 from brink.report.campaign_facts import LISTED, Facts
+from brink.report.kind_pictures import KindPictures
 from brink.search.analysis.dependence import ParameterColumn
 from brink.search.odd import odd_words
 from brink.search.parameters import Categorical
 from brink.search.space import FloatArray
-from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.repeats import FollowUpKind
-from brink.server.findings.pairs.views import PairsView
-from brink.server.findings.tolerances.views import CellView, ToleranceView, Tolerated
+from brink.server.findings.finding import Role, Term
+from brink.server.findings.table import share_text
+from brink.server.findings.words import counted, full_sentence
 from brink.server.problems.catalogue import ODD, is_baseline
 from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus, OutcomeKind
@@ -27,16 +28,6 @@ from brink.sim.errors import SimulatorError
 MOST_CHOICES: Final = 12
 """Choices of a parameter that are listed by name."""
 LONGEST_VALUE: Final = 100
-TIGHTEST: Final = 1
-"""Tolerances in the first paragraph."""
-
-
-@dataclass(frozen=True, slots=True)
-class Term:
-    """A term and its explanation."""
-
-    term: str
-    words: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,22 +39,9 @@ class Range:
     values: str
 
 
-def count(number: int, noun: str) -> str:
-    """Return a number with its noun, such as ``1 pair`` or ``1,300 pairs``."""
-    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
-
-
 def share(part: int, whole: int) -> str:
-    """Return a share in whole per cent, or more precisely if that would be 0 or 100."""
-    if not whole:
-        return "–"
-    value = part / whole
-    return f"{value:.0%}" if value in (0, 1) or 0.01 <= value <= 0.99 else f"{value:.2%}"
-
-
-def noun(facts: Facts) -> str:
-    """Return the noun for a solution."""
-    return "drive" if facts.drives else "solution"
+    """Return a share in per cent, which is never rounded to none or all."""
+    return share_text(part / whole) if whole else "–"
 
 
 def subject(facts: Facts) -> str:
@@ -88,56 +66,32 @@ _FOLLOW_UPS: Final = {
 
 
 def purpose(facts: Facts) -> str:
-    """Return the question of the campaign, in a sentence for people who have never seen Brink."""
-    many, of = f"{noun(facts)}s", facts.finding.of
+    """Return what the campaign asked, in a sentence for people who have never seen Brink."""
+    many, of = f"{facts.noun}s", facts.finding.of
     if of is not None:
         return _FOLLOW_UPS[of.kind].format(many=many, of=f"campaign {of.campaign} ({of.name})")
-    if facts.searched_pairs:
-        return (
-            f"Brink searched for pairs of {many} that are neighbours, although one is safe and the other is "
-            "not: the boundary of what the system can handle runs between them."
-        )
-    if facts.tolerance is not None:
-        return (
-            "Brink measured how gross the errors of the component may be before more than "
-            f"{facts.tolerance.limit:.0%} of drives violate a requirement because of them."
-        )
-    if facts.searched_violations:
-        return (
-            "Brink searched for ways in which other road users make the driving system violate a requirement, as "
-            "different from each other as possible."
-        )
-    if facts.combinations is not None:
-        return (
-            "Brink searched for changes to the camera image, alone or together, that make the driving unsafe."
-        )
     if is_baseline(facts.view.body.algorithm.id):
         return f"Brink drew {many} at random, as a baseline for searches that choose them."
-    near = facts.fetched.plan.neighbourhood
-    return (
-        f"Brink searched for the hazard boundary: {many} around which about {near.p_th:.0%} of similar {many} are "
-        "unsafe."
-    )
+    return next((one.purpose for one in facts.finding.findings), "")
 
 
 def verdicts(facts: Facts) -> list[str]:
     """Return how many solutions were safe and unsafe, and with respect to which requirements."""
-    many, view = f"{noun(facts)}s", facts.fetched.outcomes
+    many, view = f"{facts.noun}s", facts.fetched.outcomes
     if not facts.evaluated:
         return [
-            f"No {noun(facts)} has a verdict{'' if facts.ended else ' yet'}, so there is nothing to report."
+            f"No {facts.noun} has a verdict{'' if facts.ended else ' yet'}, so there is nothing to report."
         ]
     safe = facts.evaluated - facts.unsafe
     unsafe = (
-        f"{facts.unsafe:,} of {count(facts.evaluated, noun(facts))} ({share(facts.unsafe, facts.evaluated)}) "
+        f"{facts.unsafe:,} of {counted(facts.evaluated, facts.noun)} ({share(facts.unsafe, facts.evaluated)}) "
         f"{'was' if facts.unsafe == 1 else 'were'} unsafe"
     )
-    if facts.tolerance is not None:
-        told = [
-            f"Of {count(facts.evaluated, 'drive')}, with and without errors, {facts.unsafe:,} "
-            f"{view.kinds[OutcomeKind.VIOLATED]}."
-        ]
-        return _of_odd(told, view.odd)
+    if facts.finding.exclusive:
+        words = (
+            f"Of {counted(facts.evaluated, facts.noun)}, {facts.unsafe:,} {view.kinds[OutcomeKind.VIOLATED]}."
+        )
+        return _of_odd([words], view.odd)
     if not view.requirements:
         how = "computed: chance has no part in them" if facts.computed else "given by the problem itself"
         return _of_odd([f"{unsafe}, {safe:,} safe; the verdicts are {how}."], view.odd)
@@ -147,7 +101,7 @@ def verdicts(facts: Facts) -> list[str]:
         counts = view.words.removesuffix(view.odd).rstrip()
         rest = counts.partition("; ")[2].rstrip(".") if others_recorded(facts) else ""
         more = f"; {rest}" if rest else ""
-        others = f"The other {noun(facts)} was" if safe == 1 else f"The other {safe:,} {many} were"
+        others = f"The other {facts.noun} was" if safe == 1 else f"The other {safe:,} {many} were"
         within = " within the ODD" if view.odd else ""
         told.append(f"{others} safe{within} with regard to {these}{more}.")
     return _of_odd(told, view.odd)
@@ -158,54 +112,31 @@ def _of_odd(told: list[str], odd: str) -> list[str]:
 
 
 def findings(facts: Facts) -> list[str]:
-    """Return the findings that match the campaign's purpose, with an example."""
+    """Return what the campaign found of what it looked for, with examples, and what it came across."""
     if not facts.evaluated:
         return []
     told = [f"The result: {facts.finding.words[0].lower()}{facts.finding.words[1:]}"]
-    if facts.tolerance is not None:
-        if limits := limiting(facts.tolerance):
-            told.append(f"Tightest: {' '.join(cell.sentence for cell in limits[:TIGHTEST])}")
+    if facts.finding.of is not None:
         return told
-    if facts.violations is not None and facts.violations.types:
-        most = facts.violations.types[0]
-        which = (
-            "The most frequent type"
-            if most.avoidable is None
-            else f"The most frequent type {most.avoidable.words}"
-        )
-        told.append(
-            f"{which}, in {most.avoided} {noun(facts)}{'' if most.solutions == 1 else 's'}: {most.type}."
-        )
-    pairs = facts.pairs
-    if isinstance(pairs, PairsView) and pairs.pairs and facts.finding.of is None:
-        if facts.searched_pairs:
-            best = pairs.pairs[0]
-            told.append(f"For example, pair {best.place}: {as_sentence(best.words)}.")
-        else:
-            told.append(f"Without looking for them, it came across {pairs.note}.")
+    for one in facts.found:
+        if one.role is Role.SOUGHT and one.example:
+            told.append(full_sentence(one.example))
+        elif one.role is Role.MET:
+            told.append(f"Without looking for it, it came across {one.sentence}.")
     return told
 
 
-def limiting(view: ToleranceView) -> list[CellView]:
-    """Return the cells with a limit, the tightest first."""
-    found = [cell for cell in view.cells if cell.tolerated.finding is Tolerated.LIMIT]
-    return sorted(found, key=lambda cell: cell.tolerated.value.severity or 0.0)
-
-
-def boundary_words(facts: Facts) -> str:
-    """Return how many distinct boundary solutions there are."""
-    found = facts.boundary
-    if not found.dbs:
-        return (
-            f"No boundary solution was found: no neighbourhood is near enough to the boundary (fitness at most "
-            f"{DEFAULT_T_B:g})."
-        )
-    has = "has" if found.strict_dbs == 1 else "have"
-    return (
-        f"{count(found.dbs, 'distinct boundary solution')} (fitness at most {DEFAULT_T_B:g}, at least "
-        f"{DEFAULT_D_TH:g} apart) {'was' if found.dbs == 1 else 'were'} found; {found.strict_dbs:,} of "
-        f"them {has} both safe and unsafe neighbours, and an interval that contains the boundary."
-    )
+def figures(facts: Facts) -> list[Term]:
+    """Return the numbers that matter, each with what it is of."""
+    if not facts.evaluated:
+        return []
+    view = facts.fetched.outcomes
+    verb = "simulated" if facts.drives else "evaluated"
+    told = [Term(term=f"{facts.evaluated:,}", words=f"{facts.noun}s {verb}, with a verdict")]
+    if not facts.finding.exclusive:
+        unsafe = view.kinds[OutcomeKind.VIOLATED] if view.requirements else "unsafe"
+        told.append(Term(term=share(facts.unsafe, facts.evaluated), words=f"of these {unsafe}"))
+    return told + [figure for one in facts.found if one.role is Role.SOUGHT for figure in one.figures]
 
 
 def uncertainties(facts: Facts) -> list[str]:
@@ -215,24 +146,16 @@ def uncertainties(facts: Facts) -> list[str]:
         told.append("The campaign has not ended, so all of this may change.")
     if not facts.evaluated:
         return told
-    if not facts.computed and facts.tolerance is None:
-        told.append(_chance(facts))
-    if facts.tolerance is not None:
-        view = facts.tolerance
-        told.append(
-            f"Each limit has an interval that covers the truth with a probability of {view.confidence:.0%}. "
-            f"{view.caveat}"
+    caveats = [full_sentence(words) for one in facts.found for words in one.caveats]
+    if not caveats and not facts.computed:
+        caveats.append(
+            "How often single solutions are unsafe with other seeds is stated below."
+            if facts.repeats
+            else "Each drive was simulated once, unless stated otherwise, so chance may explain a single verdict."
         )
-        if view.open:
-            told.append(
-                f"Of {count(view.open, 'violation')} it is not known yet whether the error caused them; they count "
-                "as caused."
-            )
-    if isinstance(facts.pairs, PairsView) and facts.pairs.caveat:
-        caveat = facts.pairs.caveat.removesuffix(facts.fetched.outcomes.odd).rstrip()
-        told += [caveat] if caveat else []
+    told += caveats
     if failed := failures_of(facts.progress):
-        told.append(f"{count(failed, 'simulation')} failed; they count as neither safe nor unsafe.")
+        told.append(f"{counted(failed, 'simulation')} failed; they count as neither safe nor unsafe.")
     if not facts.computed:
         chosen = (
             "Parameters are drawn evenly, which traffic does not do"
@@ -248,128 +171,55 @@ def uncertainties(facts: Facts) -> list[str]:
     return told
 
 
-def _chance(facts: Facts) -> str:
-    """Describe the role of chance in the result."""
-    pairs = facts.pairs
-    if isinstance(pairs, PairsView) and pairs.searched and pairs.distinct:
-        if pairs.tried:
-            return (
-                f"{pairs.confirmed:,} of {count(pairs.tried, 'pair')} that were simulated again with other seeds are "
-                f"confirmed, {pairs.refuted:,} are refuted: chance has a part there. "
-                f"{pairs.undecided:,} are undecided."
-            )
-        checked = ""
-        if pairs.checked:
-            which = "its sides" if pairs.distinct == 1 else f"both sides of {pairs.checked:,} of them"
-            checked = f"; the search itself simulated {which} twice"
-        some = "it" if pairs.distinct == 1 else "some of them"
-        return f"No pair was simulated again after the search, so chance may explain {some}{checked}."
-    if facts.repeats:
-        return "How often single solutions are unsafe with other seeds is stated below."
-    return "Each drive was simulated once, unless stated otherwise, so chance may explain a single verdict."
+def trust(facts: Facts, pictures: Mapping[str, KindPictures]) -> list[Term]:
+    """Return how far the result can be trusted, term by term.
 
-
-def trust(facts: Facts) -> list[Term]:
-    """Describe how far the result can be trusted, term by term."""
-    many = f"{noun(facts)}s"
+    Args:
+        facts: What is known of the campaign.
+        pictures: What only some kinds of findings tell.
+    """
+    many = f"{facts.noun}s"
     terms = []
     if facts.computed:
-        terms.append(Term("Chance", "Verdicts are computed, and other seeds do not change them."))
+        terms.append(Term(term="Chance", words="Verdicts are computed, and other seeds do not change them."))
     else:
-        terms += _repeated(facts)
+        terms += [term for one in facts.found for term in one.trust]
+        terms += [Term(term="Repeats", words=as_sentence(one.words)) for one in facts.repeats if one.boundary]
+        if not terms:
+            words = "Nothing has been simulated again with other seeds, so chance may explain a verdict."
+            terms.append(Term(term="Repeats", words=words))
     known = facts.progress.known
     if known is not None and known.results:
         left_out = (
-            f" {count(known.outside_odd, 'result')} outside the ODD {'was' if known.outside_odd == 1 else 'were'} "
+            f" {counted(known.outside_odd, 'result')} outside the ODD {'was' if known.outside_odd == 1 else 'were'} "
             "left out."
             if known.outside_odd
             else ""
         )
         terms.append(
             Term(
-                "Start",
-                f"The search began with {count(known.results, 'result')} that it did not simulate, "
+                term="Start",
+                words=f"The search began with {counted(known.results, 'result')} that it did not simulate, "
                 f"{known.unsafe:,} of them unsafe; they count nowhere on this page.{left_out}",
             )
         )
-    if facts.control:
-        told = " ".join(f"{one}." for one in facts.control)
-        terms.append(Term("Control", f"{told} A control shows what scenarios and chance alone explain."))
-    terms.append(Term("Random search", _random(facts)))
-    terms.append(Term("Failures", _failures(facts)))
+    terms += [term for one in pictures.values() for term in one.trust]
+    elsewhere = next((one.elsewhere for one in pictures.values() if one.elsewhere), "")
+    terms.append(Term(term="Random search", words=_random(facts, elsewhere)))
+    terms.append(Term(term="Failures", words=_failures(facts)))
     if facts.jobs is not None:
-        terms.append(Term("Cache", _cache(facts)))
+        terms.append(Term(term="Cache", words=_cache(facts)))
     terms.append(
         Term(
-            "Intervals",
-            "Intervals of shares are Wilson intervals of 95%, those of the sides of pairs exact ones of 90%. "
+            term="Intervals",
+            words="Intervals of shares are Wilson intervals of 95%, those of the sides of pairs exact ones of 90%. "
             f"They say how sure a share of these {many} is, not how often something happens in traffic.",
         )
     )
     return terms
 
 
-def _repeated(facts: Facts) -> list[Term]:
-    terms = []
-    pairs = facts.pairs
-    if isinstance(pairs, PairsView) and pairs.distinct and facts.tolerance is None:
-        if pairs.tried or pairs.pending:
-            pending = f", {pairs.pending:,} are being simulated" if pairs.pending else ""
-            words = (
-                f"Simulated again with other seeds: {pairs.tried:,} of {count(pairs.distinct, 'pair')}. "
-                f"{pairs.confirmed:,} confirmed, {pairs.refuted:,} refuted, {pairs.undecided:,} undecided{pending}. "
-                f"Confirmed means that the safe side is unsafe with a probability of at most "
-                f"{pairs.rule.safe_at_most:.0%}, and the unsafe side with one of at least "
-                f"{pairs.rule.unsafe_at_least:.0%}; "
-                f"the error rate of either claim is {pairs.rule.error:.0%}."
-            )
-        else:
-            words = "No pair has been simulated again with other seeds after the search."
-        terms.append(Term("Confirmation", words))
-        if facts.fetched.plan.problem.has_component:
-            terms.append(Term("Component", _component(pairs)))
-        if pairs.chance:
-            terms.append(Term("Chance", " ".join(f"{words}." for words in pairs.chance)))
-    terms += [Term("Repeats", f"{as_sentence(one.words)}") for one in facts.repeats if one.boundary]
-    if not terms:
-        terms.append(
-            Term(
-                "Repeats",
-                "Nothing has been simulated again with other seeds, so chance may explain a verdict.",
-            )
-        )
-    if facts.tolerance is not None and facts.tolerance.audited:
-        view = facts.tolerance
-        terms.append(
-            Term(
-                "Screening",
-                "Drives that hold with the grossest error are taken to hold with milder ones. Of "
-                f"{view.audited:,} that were simulated with milder ones all the same, {view.leaks:,} violated a "
-                "requirement.",
-            )
-        )
-    return terms
-
-
-def _component(pairs: PairsView) -> str:
-    if not pairs.component + pairs.scenario:
-        return "It was not asked whether the component or the scenario is to blame for the unsafe sides."
-    asked = pairs.component + pairs.scenario
-    rest = f"; for {pairs.scenario:,}, the scenario alone is enough" if pairs.scenario else ""
-    confirmed = pairs.component_confirmed + pairs.scenario_confirmed
-    sure = (
-        f" Of the confirmed pairs among them, it is {pairs.component_confirmed:,} of {confirmed:,}."
-        if confirmed
-        else " None of these pairs is confirmed."
-    )
-    return (
-        f"With ground truth in place of the component, the unsafe side of {pairs.component:,} of "
-        f"{count(asked, 'pair')} is safe: there the component is to blame{rest}. Judged in one drive each, with the "
-        f"seed of the search.{sure}"
-    )
-
-
-def _random(facts: Facts) -> str:
+def _random(facts: Facts, elsewhere: str) -> str:
     if is_baseline(facts.view.body.algorithm.id):
         return "This campaign is random search itself: it needs no other baseline."
     if not facts.random:
@@ -378,11 +228,11 @@ def _random(facts: Facts) -> str:
             "problem, so it is not known how much of this random draws would have found."
         )
     best = facts.random[0]
-    part = share(best.campaign.unsafe, best.evaluated)
-    unsafe = f"{best.campaign.unsafe:,} of {best.evaluated:,} evaluated were unsafe ({part})"
-    found = f"; it found {best.found} with the same settings" if best.found else ""
+    evaluated = best.simulations - best.failed - best.measured
+    unsafe = f"{best.unsafe:,} of {evaluated:,} evaluated were unsafe ({share(best.unsafe, evaluated)})"
+    found = f"; it found {elsewhere} with the same settings" if elsewhere else ""
     return (
-        f"Campaign {best.campaign.id} drew at random on the same problem: {unsafe}{found}. This campaign evaluated "
+        f"Campaign {best.id} drew at random on the same problem: {unsafe}{found}. This campaign evaluated "
         f"{facts.evaluated:,}."
     )
 
@@ -391,10 +241,10 @@ def _failures(facts: Facts) -> str:
     progress = facts.progress
     failed = failures_of(progress)
     if not failed and not progress.quarantined:
-        return f"None of {count(progress.simulations, 'simulation')} failed."
+        return f"None of {progress.simulations:,} simulations failed."
     waiting = f"; {progress.quarantined:,} wait in quarantine" if progress.quarantined else ""
     return (
-        f"{failed:,} of {count(progress.simulations, 'simulation')} failed and have no verdict{waiting}. "
+        f"{failed:,} of {counted(progress.simulations, 'simulation')} failed and have no verdict{waiting}. "
         "What fails may be unsafe, too."
     )
 
@@ -403,11 +253,11 @@ def _cache(facts: Facts) -> str:
     jobs = facts.jobs
     if jobs is None or not jobs.simulated + jobs.cached:
         return "No result has been reported."
-    again = f" {count(jobs.repeated, 'job')} took more than one attempt." if jobs.repeated else ""
+    again = f" {counted(jobs.repeated, 'job')} took more than one attempt." if jobs.repeated else ""
     if not jobs.cached:
         return f"No result was taken over from another campaign: all were simulated for this one.{again}"
     return (
-        f"{jobs.cached:,} of {count(jobs.simulated + jobs.cached, 'result')} "
+        f"{jobs.cached:,} of {counted(jobs.simulated + jobs.cached, 'result')} "
         f"{'was' if jobs.cached == 1 else 'were'} taken over from identical simulations, with the same seed, of this "
         f"database.{again}"
     )
@@ -487,8 +337,8 @@ def fixed(facts: Facts) -> list[tuple[str, str, str]]:
     if words := odd_words(problem.space):
         rows.append(("odd", words, "The operational design domain, to which the search was limited."))
     for one in constants(facts.columns) if facts.evaluated else ():
-        same = f"{one.component}: in no {noun(facts)}" if one.values == "had no part" else one.values
-        rows.append((one.names.replace("_", " "), same, f"{one.component}: the same in all {noun(facts)}s"))
+        same = f"{one.component}: in no {facts.noun}" if one.values == "had no part" else one.values
+        rows.append((one.names.replace("_", " "), same, f"{one.component}: the same in all {facts.noun}s"))
     return rows
 
 
@@ -507,11 +357,11 @@ def _value(value: object, unit: str = "") -> str:
 def standing(facts: Facts) -> str:
     """Explain why the report is not final; empty if the campaign has finished."""
     progress = facts.progress
-    done = f"{progress.simulations:,} of {count(progress.budget, 'simulation')}"
+    done = f"{progress.simulations:,} of {counted(progress.budget, 'simulation')}"
     reason = f" Reason: {progress.status_reason.removesuffix('.')}." if progress.status_reason else ""
     if facts.left_out:
         reason += (
-            f" {count(facts.left_out, 'simulation')} of a generation that is not complete "
+            f" {counted(facts.left_out, 'simulation')} of a generation that is not complete "
             f"{'is' if facts.left_out == 1 else 'are'} left out below."
         )
     match progress.status:

@@ -3,7 +3,7 @@
 from typing import Final
 
 from brink.report.text import table_row
-from brink.server.findings.tolerances.views import CellView, ToleranceView, Tolerated
+from brink.server.findings.tolerances.views import ToleranceView, Tolerated
 
 
 def requirement_document(view: ToleranceView, picture: str | None = None) -> str:
@@ -66,44 +66,3 @@ _SECTIONS: Final = {
     "No limit found": Tolerated.THROUGHOUT,
     "Undecided": Tolerated.UNDECIDED,
 }
-KEY: Final = (
-    "screened: drives simulated with the grossest error concerning the same road users; vulnerable: those that it "
-    "makes violate; drives: those simulated with this error, of the vulnerable ones if there was screening; caused: "
-    "those that violate because of it"
-)
-"""What the numbers of drives in a table of cells mean."""
-
-
-def tolerated_words(cell: CellView) -> tuple[str, str]:
-    """Return the tolerated magnitude of a cell and its interval."""
-    found = cell.tolerated
-    ends = sorted(
-        (found.low, found.high), key=lambda one: (one.severity is None, _shown(one.magnitude, one.severity))
-    )
-    if cell.unit and cell.curve.magnitude and cell.curve.magnitude[0] > cell.curve.magnitude[-1]:
-        ends = [found.high, found.low]
-    interval = ", ".join(_amount(one.magnitude, one.severity) for one in ends)
-    unit = cell.unit if cell.unit == "%" else f" {cell.unit}".rstrip()
-    if not cell.basis:
-        return "unknown", ""
-    if found.finding is Tolerated.THROUGHOUT:
-        grossest = None if cell.curve.magnitude is None else cell.curve.magnitude[-1]
-        return f"no limit to {_amount(grossest, cell.curve.severity[-1])}{unit}", ""
-    value = _amount(found.value.magnitude, found.value.severity)
-    return (value if value == _BEYOND else f"{value}{unit}"), f"[{interval}]"
-
-
-_BEYOND: Final = "beyond"
-
-
-def _shown(magnitude: float | None, severity: float | None) -> float:
-    if magnitude is not None:
-        return magnitude
-    return severity if severity is not None else 0.0
-
-
-def _amount(magnitude: float | None, severity: float | None) -> str:
-    if severity is None:
-        return _BEYOND
-    value = _shown(magnitude, severity)
-    return f"{value:.0f}" if value >= 20 else f"{value:.1f}" if magnitude is not None else f"{value:.2f}"

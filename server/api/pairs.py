@@ -23,7 +23,7 @@ from brink.server.db.engine import read
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.pairs.analysis import pairs_view
-from brink.server.findings.pairs.table import pairs_table
+from brink.server.findings.pairs.table import pairs_file
 from brink.server.findings.pairs.views import DEFAULT_PAIRS, MOST_PAIRS, FollowUpBody, PairsView
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/pairs", tags=["pairs"])
@@ -77,7 +77,7 @@ async def get_pairs(
         view = pairs_view(connection, campaign, found, pairs, stored, limit)
         if format == "json":
             return json_response(view, {"ETag": etag})
-        table = pairs_table(view, found.plan.problem.space, format)
+        table = pairs_file(view, found.plan.problem.space, format)
         headers = {
             "Content-Disposition": f'attachment; filename="pairs-{campaign.id}.{format}"',
             "ETag": etag,

@@ -22,6 +22,13 @@ class Role(StrEnum):
     """It came across this."""
 
 
+class Term(View):
+    """A term, or a number, and what there is to say about it."""
+
+    term: str
+    words: str
+
+
 class StepRequest(View):
     """The API request that takes a step."""
 
@@ -63,6 +70,27 @@ class Finding(View):
     more: Annotated[list[str], Field(description="What else is known, in sentences.")] = Field(
         default_factory=list
     )
+    purpose: Annotated[
+        str,
+        Field(description="What a search for it does, in a sentence for people who have never seen Brink."),
+    ] = ""
+    example: Annotated[str, Field(description="An example, in a sentence.")] = ""
+    figures: Annotated[list[Term], Field(description="The numbers that matter.")] = Field(
+        default_factory=list
+    )
+    caveats: Annotated[
+        list[str], Field(description="What is uncertain about it, and what it does not say, in sentences.")
+    ] = Field(default_factory=list)
+    trust: Annotated[list[Term], Field(description="How far it can be trusted, term by term.")] = Field(
+        default_factory=list
+    )
+    legend: Annotated[
+        list[str], Field(description="What its words and the columns of its tables mean, in sentences.")
+    ] = Field(default_factory=list)
+    page: Annotated[
+        str,
+        Field(description="Address of a page of the dashboard with all of it, without `#/`; empty for none."),
+    ] = ""
     is_empty: Annotated[bool, Field(description="Whether nothing of the kind was found.")] = False
     view: Annotated[
         Any, Field(description="What only this kind has; see its schema in the documentation.")
@@ -91,6 +119,12 @@ class Findings(View):
     words: Annotated[str, Field(description="The first finding in a sentence.")]
     more: Annotated[list[str], Field(description="What else is known, in sentences.")]
     of: Annotated[FollowedView | None, Field(description="The campaign that this one follows up.")]
+    exclusive: Annotated[
+        bool,
+        Field(
+            description="Whether its simulations were chosen so that they say nothing else than the first finding."
+        ),
+    ] = False
     findings: Annotated[
         list[Finding], Field(description="All kinds that the campaign has, what it was for first.")
     ]

@@ -72,6 +72,11 @@ class Subject:
         return self.read.plan
 
     @property
+    def noun(self) -> str:
+        """What a solution is called."""
+        return "drive" if self.plan.problem.records_traces else "solution"
+
+    @property
     def path(self) -> str:
         """Path of the campaign, in the API and on the dashboard."""
         return f"campaigns/{self.campaign.id}"

@@ -54,6 +54,7 @@ async def find_all(sources: Sources, campaign: Campaign, *, rows: int = ROWS) ->
         words=full_sentence(words),
         more=[full_sentence(one) for one in more if one],
         of=known.of,
+        exclusive=known.is_exclusive,
         findings=found,
         steps=[] if known.of is not None else _steps(known, found),
     )
@@ -178,7 +179,7 @@ async def _sentences(known: _Known, found: Sequence[Finding]) -> tuple[str, list
     first = found[0]
     told = "" if known.is_exclusive else known.outcomes.sentence()
     met = [one.sentence for one in found[1:] if one.role is Role.MET and not one.is_empty]
-    return so_far(known.campaign, first.sentence), [told, *first.more, *met]
+    return so_far(known.campaign, first.sentence), [told, *first.more, *first.caveats, *met]
 
 
 def _all_failed(campaign: Campaign) -> bool:

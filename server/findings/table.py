@@ -35,11 +35,14 @@ class Format(StrEnum):
     FLAG = "flag"
     SOLUTION = "solution"
     """Number of a solution of the campaign."""
+    STATE = "state"
+    """A state in a word or two, such as ``unsafe`` or ``confirmed``, which a page may colour."""
 
     @property
     def type(self) -> type:
         """Type of the values."""
-        return {Format.TEXT: str, Format.COUNT: int, Format.SOLUTION: int, Format.FLAG: bool}.get(self, float)
+        types = {Format.COUNT: int, Format.SOLUTION: int, Format.FLAG: bool}
+        return types.get(self, float if self.is_numeric else str)
 
     @property
     def is_numeric(self) -> bool:
@@ -58,6 +61,16 @@ class Column(View):
         bool, Field(description="Whether only files and data frames have it: a page is too narrow.")
     ] = False
     optional: Annotated[bool, Field(description="Whether values may be missing.")] = False
+    below: Annotated[
+        bool, Field(description="Whether a page writes it below the column before it, to save width.")
+    ] = False
+    page: Annotated[
+        str,
+        Field(
+            description="Page of the campaign that a value links to, with names of columns in braces, such as "
+            "`pairs/{safe}-{unsafe}`; empty for none. Solutions link to their pages without it."
+        ),
+    ] = ""
 
     @property
     def heading(self) -> str:
@@ -76,19 +89,22 @@ class Table(View):
 
     @property
     def shown(self) -> list[Column]:
-        """The columns that a page shows."""
-        return [column for column in self.columns if not column.detail]
+        """The columns that a page shows, without those that it writes below another one."""
+        return [column for column in self.columns if not column.detail and not column.below]
 
     def texts(self, most: int | None = None) -> list[list[str]]:
-        """Return the first rows as texts, in the columns that a page shows."""
-        return [
-            [
-                cell_text(cell, one.format)
-                for cell, one in zip(row, self.columns, strict=True)
-                if not one.detail
-            ]
-            for row in self.rows[:most]
-        ]
+        """Return the first rows as texts, in the columns that a page shows; what is below is on its own line."""
+        rows = []
+        for row in self.rows[:most]:
+            texts: list[str] = []
+            for cell, column in zip(row, self.columns, strict=True):
+                text = cell_text(cell, column.format)
+                if column.below and text:
+                    texts[-1] = f"{texts[-1]}\n{text}"
+                elif not column.detail and not column.below:
+                    texts.append(text)
+            rows.append(texts)
+        return rows
 
     def records(self) -> list[Row]:
         """Return the rows with their values by column name."""
@@ -126,9 +142,14 @@ def cell_text(cell: Cell, form: Format) -> str:
         return "yes" if cell else "no"
     if isinstance(cell, str):
         return cell
-    return {Format.COUNT: f"{cell:,}", Format.SOLUTION: f"{cell}", Format.SHARE: f"{cell:.0%}"}.get(
-        form, f"{cell:.3g}"
-    )
+    if form is Format.SHARE:
+        return share_text(cell)
+    return {Format.COUNT: f"{cell:,}", Format.SOLUTION: f"{cell}"}.get(form, f"{cell:.3g}")
+
+
+def share_text(share: float) -> str:
+    """Return a share in whole per cent, or more precisely where that would be 0 or 100."""
+    return f"{share:.0%}" if share in (0, 1) or 0.01 <= share <= 0.99 else f"{share:.2%}"
 
 
 def table_bytes(rows: Sequence[Row], form: str, columns: Mapping[str, type]) -> bytes:

@@ -1,5 +1,8 @@
 """The distinct boundary solutions of a campaign."""
 
+from collections.abc import Collection, Sequence
+from typing import Final
+
 import numpy as np
 from sqlalchemy import Connection
 
@@ -12,7 +15,22 @@ from brink.server.campaigns.store import Campaign
 from brink.server.findings.boundary.views import Boundary, BudgetBoundary, DbsCell, KnownBoundary
 from brink.server.findings.solutions import solutions_of
 from brink.server.findings.sources import Sources
+from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.words import listed_words
+from brink.server.views import SolutionView
+
+COLUMNS: Final = [
+    Column(name="number", title="solution", format=Format.SOLUTION),
+    Column(name="strict", title="strict", below=True),
+    Column(name="verdict", title="verdict", format=Format.STATE),
+    Column(name="outcome", title="outcome", below=True),
+    Column(name="fitness", title="fitness", format=Format.NUMBER),
+    Column(name="robustness", title="robustness", format=Format.NUMBER),
+    Column(name="unsafe_neighbours", title="unsafe neighbours", format=Format.COUNT),
+    Column(name="neighbours", title="of", format=Format.COUNT),
+    Column(name="interval", title="interval of the unsafe share", below=True),
+    Column(name="words", title="description"),
+]
 
 
 async def find_boundary(
@@ -56,25 +74,58 @@ def boundary_view(
         limit: Maximum number of solutions to list.
     """
     archive, chosen = read.archive, boundary.chosen
-    within, known = _within_budget(campaign, archive, boundary), _with_known(read, boundary)
     is_strict = has_evidence(archive)[chosen]
     numbers = [int(number) for number in archive.numbers[chosen[:limit]]]
+    strict = [number for number, is_one in zip(numbers, is_strict[:limit], strict=True) if is_one]
+    solutions = solutions_of(connection, campaign, read, numbers, full=True, rated=True)
     return Boundary(
         t_b=t_b,
         d_th=d_th,
         dbs=boundary.counts.dbs,
         strict_dbs=boundary.counts.strict,
         words=listed_words(len(numbers), len(chosen)),
-        note=with_odd(_note(read, t_b, within, known), read.plan.problem.space),
+        note=boundary_note(campaign, read, boundary, t_b),
+        table=boundary_table(solutions, strict, len(chosen)),
         grid=[
             DbsCell(t_b=t, d_th=d, dbs=int(grid.dbs[row, column]), strict_dbs=int(grid.strict[row, column]))
             for row, t in enumerate(grid.t_bs)
             for column, d in enumerate(grid.d_ths)
         ],
-        solutions=solutions_of(connection, campaign, read, numbers, full=True, rated=True),
-        strict=[number for number, strict in zip(numbers, is_strict[:limit], strict=True) if strict],
-        within_budget=within,
-        with_known=known,
+        solutions=solutions,
+        strict=strict,
+        within_budget=_within_budget(campaign, archive, boundary),
+        with_known=_with_known(read, boundary),
+    )
+
+
+def boundary_table(solutions: Sequence[SolutionView], strict: Collection[int], distinct: int) -> Table:
+    """Return boundary solutions as a table.
+
+    Args:
+        solutions: The solutions, best first.
+        strict: Numbers of those that the strict DBS counts.
+        distinct: How many there are.
+    """
+    return Table(
+        name="boundary",
+        title="Distinct boundary solutions, best first",
+        columns=COLUMNS,
+        rows=[
+            [
+                one.number,
+                "strict" if one.number in strict else "",
+                str(one.verdict),
+                one.outcome,
+                one.fitness,
+                one.robustness,
+                one.unsafe_neighbours,
+                one.neighbours,
+                "{:.0%} to {:.0%}".format(*one.interval) if one.interval else "",
+                one.words,
+            ]
+            for one in solutions
+        ],
+        left_out=distinct - len(solutions),
     )
 
 
@@ -106,8 +157,9 @@ def _with_known(read: ReadArchive, boundary: CampaignBoundary) -> KnownBoundary 
     )
 
 
-def _note(read: ReadArchive, t_b: float, within: BudgetBoundary | None, known: KnownBoundary | None) -> str:
-    """Explain how to read DBS at this threshold."""
+def boundary_note(campaign: Campaign, read: ReadArchive, boundary: CampaignBoundary, t_b: float) -> str:
+    """Return how to read DBS at this threshold, in sentences."""
+    within, known = _within_budget(campaign, read.archive, boundary), _with_known(read, boundary)
     p_th = read.plan.neighbourhood.p_th
     all_safe = p_th / max(p_th, 1 - p_th)
     note = (
@@ -128,4 +180,4 @@ def _note(read: ReadArchive, t_b: float, within: BudgetBoundary | None, known: K
             f" Together with the {known.results:,} known results that the campaign started from: {known.dbs} "
             f"distinct, {known.strict_dbs} strict."
         )
-    return note
+    return with_odd(note, read.plan.problem.space)

@@ -4,29 +4,20 @@ from typing import Annotated
 
 from pydantic import Field
 
+from brink.search.analysis.boundary import has_evidence
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.boundaries import read_last_count
 from brink.server.campaigns.plan import check_repeatable
 from brink.server.campaigns.repeats import MOST, FollowUpKind
 from brink.server.campaigns.store import ENDED
 from brink.server.errors import InvalidInput
-from brink.server.findings.boundary.analysis import boundary_words
+from brink.server.findings.boundary.analysis import boundary_note, boundary_table, boundary_words
 from brink.server.findings.boundary.repeats import DEFAULT_REPEATS
-from brink.server.findings.finding import Finding, Step, StepRequest
+from brink.server.findings.finding import Finding, Step, StepRequest, Term
 from brink.server.findings.follow_ups import follow_up_view
 from brink.server.findings.kind import Kind, Listed, Settings, Subject
 from brink.server.findings.solutions import solutions_of
-from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.words import counted, listed_words
-
-COLUMNS = [
-    Column(name="number", title="number", format=Format.SOLUTION),
-    Column(name="outcome", title="outcome"),
-    Column(name="fitness", title="fitness", format=Format.NUMBER),
-    Column(name="unsafe_neighbours", title="unsafe neighbours", format=Format.COUNT),
-    Column(name="neighbours", title="of", format=Format.COUNT),
-    Column(name="words", title="description"),
-]
 
 
 class BoundarySettings(Settings):
@@ -54,32 +45,28 @@ class BoundaryKind(Kind):
         solutions = await sources.pages.read(
             sources.engines, lambda c: solutions_of(c, subject.campaign, read, numbers, rated=True)
         )
-        rows = [
-            [
-                one.number,
-                one.outcome or str(one.verdict),
-                one.fitness,
-                one.unsafe_neighbours,
-                one.neighbours,
-                one.words,
-            ]
-            for one in solutions
-        ]
+        near = subject.plan.neighbourhood
+        is_strict = has_evidence(read.archive)[boundary.chosen]
+        marked = [number for number, is_one in zip(numbers, is_strict, strict=False) if is_one]
         return Finding(
             kind=self.id,
             title=self.title,
             role=subject.role,
             sentence=boundary_words(distinct, strict, t_b=t_b, d_th=d_th),
-            is_empty=not distinct,
-            tables=[
-                Table(
-                    name="boundary",
-                    title="Distinct boundary solutions, best first",
-                    columns=COLUMNS,
-                    rows=rows,
-                    left_out=distinct - len(rows),
-                )
+            purpose=f"Brink searched for the hazard boundary: {subject.noun}s around which about {near.p_th:.0%} of "
+            f"similar {subject.noun}s are unsafe.",
+            figures=[
+                Term(term=f"{distinct:,}", words=f"distinct boundary solution{'' if distinct == 1 else 's'}"),
+                Term(term=f"{strict:,}", words="of them strict"),
             ],
+            legend=[
+                f"The neighbourhood of a solution is all evaluated solutions within a distance of {near.radius:g}, "
+                f"and its fitness is how far the interval of their unsafe share lies from {near.p_th:g}: 0 is on the "
+                "boundary",
+                boundary_note(subject.campaign, read, boundary, t_b),
+            ],
+            is_empty=not distinct,
+            tables=[boundary_table(solutions, marked, distinct)],
             steps=self._steps(subject, distinct, strict),
         )
 

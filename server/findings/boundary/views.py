@@ -4,6 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from brink.server.findings.table import Table
 from brink.server.views import SolutionView, View
 
 
@@ -50,6 +51,7 @@ class Boundary(View):
         ),
     ] = ""
     note: str
+    table: Annotated[Table | None, Field(description="The solutions as a table.")] = None
     grid: Annotated[
         list[DbsCell],
         Field(description="DBS at all thresholds, without distances at which it takes too long."),

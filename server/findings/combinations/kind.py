@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from typing import Final
 
-from brink.search.analysis.combinations import combinations, verdicts_by_chain
+from brink.search.analysis.combinations import HAZARDOUS, MIN_PLACES, combinations, verdicts_by_chain
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.server.findings.combinations.analysis import find_combinations
 from brink.server.findings.combinations.views import ChainTally, Combinations, StepTally
-from brink.server.findings.finding import Finding, Step
+from brink.server.findings.finding import Finding, Step, Term
 from brink.server.findings.kind import Kind, Listed, Subject
 from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.words import counted
@@ -32,6 +32,13 @@ COLUMNS: Final = [
     Column(name="example", title="example", format=Format.SOLUTION, optional=True),
 ]
 _OTHER: Final = ("chain", "parts", "orders", "example")
+LEGEND: Final = [
+    "A chain is a list of changes that are applied to the camera image in order. It is hazardous if it was driven in "
+    f"at least {MIN_PLACES} streets, and at least {HAZARDOUS:.0%} of these drives were unsafe. Its parts and other "
+    "orders are compared in the same streets.",
+    "Only together: each part of the chain alone is safe, which is to say unsafe in at most 20% of these drives. "
+    "Order matters: the same chain is safe in another order.",
+]
 TECHNIQUES: Final = [
     Column(name="technique", title="technique at a level"),
     Column(name="alone_unsafe", title="unsafe alone", format=Format.COUNT),
@@ -71,6 +78,10 @@ class CombinationsKind(Kind):
             role=subject.role,
             sentence=view.words,
             more=[view.explanation] if view.explanation else [],
+            purpose="Brink searched for changes to the camera image, alone or together, that make the driving "
+            "unsafe.",
+            figures=_figures(view),
+            legend=LEGEND,
             is_empty=not view.combinations,
             tables=[chains_table(view, subject.rows), techniques_table(view, subject.rows)],
             steps=_watch(subject, view),
@@ -86,6 +97,13 @@ class CombinationsKind(Kind):
         return counted(hazardous, "hazardous chain") + (f", {together} only together" if together else "")
 
 
+def _figures(view: Combinations) -> list[Term]:
+    """Return how many of the chains that were simulated often enough are hazardous."""
+    judged = [one.hazardous for one in view.combinations if one.trials >= MIN_PLACES]
+    words = f"chains of changes hazardous, driven in {MIN_PLACES} streets or more"
+    return [Term(term=f"{sum(judged):,} of {len(judged):,}", words=words)]
+
+
 def chains_table(view: Combinations, rows: int | None = None) -> Table:
     """Return chains as a table."""
     shown = view.combinations[:rows]
@@ -98,7 +116,7 @@ def chains_table(view: Combinations, rows: int | None = None) -> Table:
             [
                 one.words,
                 *(getattr(one, name) for name in names),
-                _tallies(one.parts),
+                _tallies(one.parts) or "not simulated",
                 _tallies(one.orders),
                 next(iter((*one.together, *one.turned)), None),
             ]

@@ -22,6 +22,7 @@ from brink.server.campaigns.repeats import FollowUpKind, StoredRepeats
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.errors import InvalidInput, NotFound
 from brink.server.findings.follow_ups import ShareView, follow_up_view
+from brink.server.findings.pairs.table import pairs_table
 from brink.server.findings.pairs.views import (
     ChangeView,
     ComponentPart,
@@ -36,6 +37,7 @@ from brink.server.findings.pairs.views import (
     PairView,
     SideView,
 )
+from brink.server.findings.pairs.words import in_words, legend
 from brink.server.findings.solutions import activity_view, simulated
 from brink.server.findings.words import so_far
 from brink.server.problems.base import Problem, SimulatedSolution, describe_candidate
@@ -96,7 +98,7 @@ def pairs_view(
         "scenario_confirmed": blamed.count(ComponentPart.SCENARIO),
     }
     sentence = _result_words(pairs, deciding, counts, computed=problem.ignores_seeds)
-    return PairsView(
+    view = PairsView(
         campaign=campaign.id,
         name=campaign.body.name,
         status=campaign.status,
@@ -134,8 +136,12 @@ def pairs_view(
             FollowUpOffer(kind=kind, simulations=simulations, reason=reason, left_out=left_out)
             for kind, (simulations, reason, left_out) in _offers(campaign, found, pairs, stored).items()
         ],
-        pairs=[_pair(place, pair, problem, rows, evidence) for place, pair in placed],
+        pairs=[
+            in_words(_pair(place, pair, problem, rows, evidence), computed=problem.ignores_seeds)
+            for place, pair in placed
+        ],
     )
+    return view.model_copy(update={"legend": legend(view), "table": pairs_table(view)})
 
 
 def _sides_again(pairs: Sequence[Pair], repeated: Repeated) -> tuple[int, int]:

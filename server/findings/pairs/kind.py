@@ -16,6 +16,7 @@ from brink.server.findings.finding import Finding, Role, Step, StepRequest
 from brink.server.findings.follow_ups import follow_up_view
 from brink.server.findings.kind import Kind, Listed, Settings, Subject
 from brink.server.findings.pairs.analysis import pairs_view
+from brink.server.findings.pairs.table import pairs_table
 from brink.server.findings.pairs.views import (
     DEFAULT_CONFIRMATIONS,
     BestPair,
@@ -24,27 +25,13 @@ from brink.server.findings.pairs.views import (
     PairsView,
     PairView,
 )
-from brink.server.findings.table import Column, Format, Table
+from brink.server.findings.pairs.words import chance_words, figures, meaning, trust
 from brink.server.findings.words import counted
 
 MOST_SOLUTIONS: Final = 20_000
 """Largest archive that is searched for pairs for a list; a campaign's page has those of others."""
 MOST_RINGS: Final = 1_000
 BEST: Final = 2
-COLUMNS: Final = [
-    Column(name="pair", title="pair", format=Format.COUNT),
-    Column(name="change", title="change from the safe to the unsafe drive"),
-    Column(name="unsafe_outcome", title="unsafe drive"),
-    Column(name="safe_outcome", title="safe drive"),
-    Column(name="evidence", title="evidence"),
-    Column(name="safe", title="safe solution", format=Format.SOLUTION, detail=True),
-    Column(name="unsafe", title="unsafe solution", format=Format.SOLUTION, detail=True),
-    Column(name="distance", title="distance", format=Format.NUMBER, detail=True),
-    Column(name="moved", title="how far", detail=True),
-    Column(name="confirmation", title="confirmation", detail=True),
-    Column(name="component", title="blamed", detail=True),
-    Column(name="minimality", title="minimality", detail=True),
-]
 _QUESTIONS: Final[Mapping[FollowUpKind, tuple[str, str, str, str]]] = {
     FollowUpKind.CONFIRM: (
         "Do the pairs hold?",
@@ -97,6 +84,7 @@ class PairsKind(Kind):
                 title=self.title,
                 role=subject.role,
                 sentence=words,
+                page=f"{subject.path}/pairs",
                 is_empty=subject.role is not Role.SOUGHT,
                 steps=steps,
             )
@@ -109,24 +97,33 @@ class PairsKind(Kind):
         sides = (
             [(pair.safe.number, pair.unsafe.number) for pair in pairs.found.pairs] if view.searched else []
         )
-        caveat = ""
+        caveats = []
         if view.searched and view.distinct:  # what the outcomes say already is left out
-            caveat = view.caveat.removesuffix(odd_sentence(subject.plan.problem.space)).rstrip()
+            caveats = [chance_words(view), view.caveat.removesuffix(odd_sentence(subject.plan.problem.space))]
+        many, best = f"{subject.noun}s", view.pairs[:1]
         return Finding(
             kind=self.id,
             title=self.title,
             role=subject.role,
             sentence=view.sentence,
-            more=[words for words in (view.blame, caveat) if words],
+            more=[view.blame] if view.blame else [],
+            purpose=f"Brink searched for pairs of {many} that are neighbours, although one is safe and the other is "
+            "not: the boundary of what the system can handle runs between them.",
+            example="".join(f"For example, pair {pair.place}: {pair.words}" for pair in best),
+            figures=figures(view),
+            caveats=[words for words in map(str.rstrip, caveats) if words],
+            trust=trust(view, has_component=subject.plan.problem.has_component),
+            legend=[meaning(view, subject.noun), *view.legend] if view.pairs else [],
+            page=f"{subject.path}/pairs",
             is_empty=not view.distinct,
             view=PairsFound(
                 distinct=view.distinct,
                 rings=sides[:MOST_RINGS],
                 replayable=view.replayable,
-                best=[_best_pair(view, pair) for pair in view.pairs[:BEST]],
+                best=[_best_pair(pair) for pair in view.pairs[:BEST]],
                 rule=_rule_words(view),
             ),
-            tables=[_table(view, subject.rows)],
+            tables=[pairs_table(view, subject.rows)],
             steps=self._steps(subject, view),
         )
 
@@ -160,52 +157,7 @@ class PairsKind(Kind):
         return [*(step for step in asked if step is not None), _look(subject, view, "What happens in them?")]
 
 
-def _table(view: PairsView, rows: int) -> Table:
-    shown = view.pairs[:rows]
-    return Table(
-        name="pairs",
-        title="Distinct pairs, confirmed ones first",
-        columns=COLUMNS,
-        rows=[
-            [
-                pair.place,
-                pair.change,
-                pair.unsafe.outcome,
-                pair.safe.outcome,
-                _evidence(view, pair),
-                pair.safe.number,
-                pair.unsafe.number,
-                pair.distance,
-                pair.moved,
-                str(pair.confirmation.state),
-                str(pair.component.state),
-                str(pair.minimality.state),
-            ]
-            for pair in shown
-        ],
-        left_out=view.distinct - len(shown),
-    )
-
-
-def _evidence(view: PairsView, pair: PairView) -> str:
-    """Return whether a pair is confirmed, with the number of drives that kept their verdicts."""
-    if view.computed:
-        return "computed"
-    counts = " and ".join(
-        f"{side.unsafe:,}/{side.evaluated:,}" for side in (pair.confirmation.safe, pair.confirmation.unsafe)
-    )
-    match pair.confirmation.state:
-        case Confirmation.PENDING:
-            return "being simulated again"
-        case Confirmation.NOT_TRIED:
-            return (
-                "checked with another seed during the search" if pair.checked else "not simulated again yet"
-            )
-        case state:
-            return f"{state}: unsafe in {counts} drives with other seeds"
-
-
-def _best_pair(view: PairsView, pair: PairView) -> BestPair:
+def _best_pair(pair: PairView) -> BestPair:
     safe, unsafe = pair.confirmation.safe, pair.confirmation.unsafe
     shares = ""
     if safe.evaluated + unsafe.evaluated:
@@ -219,7 +171,7 @@ def _best_pair(view: PairsView, pair: PairView) -> BestPair:
         unsafe=pair.unsafe.number,
         words=pair.words,
         state=pair.confirmation.state,
-        evidence=_evidence(view, pair),
+        evidence=", ".join(pair.evidence),
         shares=shares,
     )
 

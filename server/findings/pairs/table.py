@@ -1,4 +1,4 @@
-"""Pairs as a table with one row for each pair: CSV, JSON Lines or Parquet."""
+"""Pairs as tables with one row for each pair: for every renderer, and with all parameters as a file."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -6,7 +6,27 @@ from typing import Final
 from brink.search.space import SearchSpace
 from brink.server.findings.boundary.table import parameter_columns
 from brink.server.findings.pairs.views import PairsView, PairView
-from brink.server.findings.table import Cell, Row, table_bytes
+from brink.server.findings.pairs.words import share_words
+from brink.server.findings.table import Cell, Column, Format, Row, Table, table_bytes
+from brink.server.problems.changes import as_sentence
+
+COLUMNS: Final = [
+    Column(name="pair", title="pair", format=Format.COUNT, page="pairs/{safe}-{unsafe}"),
+    Column(name="change", title="change from the safe to the unsafe drive"),
+    Column(name="moved", title="how far", below=True),
+    Column(name="common", title="in both", below=True),
+    Column(name="unsafe_outcome", title="unsafe drive"),
+    Column(name="unsafe_again", title="the same with other seeds", below=True),
+    Column(name="safe_outcome", title="safe drive"),
+    Column(name="safe_again", title="the same with other seeds", below=True),
+    Column(name="confirmation", title="confirmation", format=Format.STATE),
+    Column(name="evidence", title="evidence", below=True),
+    Column(name="safe", title="safe solution", format=Format.SOLUTION, detail=True),
+    Column(name="unsafe", title="unsafe solution", format=Format.SOLUTION, detail=True),
+    Column(name="distance", title="distance", format=Format.NUMBER, detail=True),
+    Column(name="component", title="blamed", detail=True),
+    Column(name="minimality", title="minimality", detail=True),
+]
 
 _PAIR: Final[Mapping[str, type]] = {
     "campaign": str,
@@ -52,7 +72,38 @@ def pair_rows(view: PairsView) -> list[Row]:
     return [_flat(view, pair) for pair in view.pairs]
 
 
-def pairs_table(view: PairsView, space: SearchSpace, form: str) -> bytes:
+def pairs_table(view: PairsView, rows: int | None = None) -> Table:
+    """Return the first pairs as a table; all of them by default."""
+    shown = view.pairs[:rows]
+    return Table(
+        name="pairs",
+        title="Distinct pairs, confirmed ones first",
+        columns=COLUMNS,
+        rows=[
+            [
+                pair.place,
+                as_sentence(pair.change),
+                pair.moved,
+                f"in both: {pair.common}" if pair.common else "",
+                pair.unsafe.outcome,
+                share_words(pair.confirmation.unsafe),
+                pair.safe.outcome,
+                share_words(pair.confirmation.safe),
+                str(pair.confirmation.state),
+                ", ".join(pair.evidence),
+                pair.safe.number,
+                pair.unsafe.number,
+                pair.distance,
+                str(pair.component.state),
+                str(pair.minimality.state),
+            ]
+            for pair in shown
+        ],
+        left_out=view.distinct - len(shown),
+    )
+
+
+def pairs_file(view: PairsView, space: SearchSpace, form: str) -> bytes:
     """Encode pairs as a file: JSON Lines with all details of each pair, or a flat table.
 
     Args:

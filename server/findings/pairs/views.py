@@ -11,6 +11,7 @@ from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
 from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.documents import Body
 from brink.server.findings.follow_ups import FollowUpView, ShareView
+from brink.server.findings.table import Table
 from brink.server.states import CampaignStatus, OutcomeKind
 from brink.server.views import ActivityView, View
 
@@ -207,6 +208,15 @@ class PairView(View):
     component: ComponentView
     minimality: MinimalityView
     changes: Annotated[list[ChangeView], Field(description="All differences; the first active ones matter.")]
+    evidence: Annotated[
+        tuple[str, ...],
+        Field(
+            description="What is known of it beyond one simulation of each side, a few words each, such as `checked` "
+            "and `confirmed 0/15 15/15`."
+        ),
+    ] = ()
+    shown: Annotated[tuple[str, ...], Field(description="What its follow-ups showed, in sentences.")] = ()
+    facts: Annotated[tuple[str, ...], Field(description="What else is known of it, in sentences.")] = ()
     safe: SideView
     unsafe: SideView
 
@@ -384,6 +394,11 @@ class PairsView(View):
             description="Confirmed ones first, refuted ones last; otherwise in the order of their numbers."
         ),
     ]
+    legend: Annotated[
+        tuple[str, ...],
+        Field(description="What the words about these pairs mean, in sentences without a full stop."),
+    ] = ()
+    table: Annotated[Table | None, Field(description="The pairs as a table.")] = None
 
 
 class BestPair(View):

@@ -90,6 +90,7 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
                 screened=0 if screening is None else screening.screened,
                 vulnerable=0 if screening is None else screening.vulnerable,
                 tolerated=words.tolerated(curve, basis),
+                tolerated_words=words.tolerated_words(curve, basis),
                 curve=words.curve(curve),
                 fall=words.fall(curve),
                 examples=[
@@ -224,6 +225,18 @@ class CellWords:
         """Return the severity at which the limit is reached, with its interval."""
         value, low, high = (self._amount(one) for one in _ends(curve))
         return ToleratedView(finding=_finding(curve, basis), value=value, low=low, high=high)
+
+    def tolerated_words(self, curve: Curve, basis: str) -> str:
+        """Return the same in words, such as ``2.2 s [1.4, 2.8]`` or ``no limit to 8.0 s``."""
+        value, low, high = _ends(curve)
+        finding = _finding(curve, basis)
+        if not basis:
+            return "unknown"
+        if finding is Tolerated.THROUGHOUT:
+            return f"no limit to {self._number(1.0, unit=True)}"
+        probably = "probably " if finding is Tolerated.UNDECIDED else ""
+        number = "any" if math.isinf(value) else self._number(value, unit=True)
+        return f"{probably}{number} [{self._range(low, high)}]"
 
     def _amount(self, severity: float) -> Amount:
         if math.isinf(severity):

@@ -1,22 +1,42 @@
 """How severe each error of a component may be before too many drives violate a requirement."""
 
 import json
+from collections import Counter
 from typing import Final
 from urllib.parse import urlencode
 
 from brink.search.algorithms.tolerance import Layout, Tolerance, ToleranceConfig
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import Campaign
-from brink.server.findings.finding import Finding, Step
+from brink.server.findings.finding import Finding, Step, Term
 from brink.server.findings.kind import Kind, Listed, Subject
 from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.tolerances.analysis import find_tolerance
-from brink.server.findings.tolerances.views import CellView, ToleranceView
+from brink.server.findings.tolerances.views import CellView, ToleranceView, Tolerated
 from brink.server.findings.words import counted
 from brink.server.problems.catalogue import ODD, make_problem, problem_type
 
 SIMULATIONS: Final = 2_000
 """Enough for twelve cells under one condition."""
+KEY: Final = (
+    "screened: drives simulated with the grossest error concerning the same road users; vulnerable: those that it "
+    "makes violate; drives: those simulated with this error, of the vulnerable ones if there was screening; caused: "
+    "those that violate because of it; mildest example: the one with the smallest error"
+)
+"""What the numbers of drives in a table of cells mean."""
+SENTENCES: Final = [Column(name="requirement", title="requirement")]
+FALLS: Final = [
+    Column(name="error", title="error"),
+    Column(name="condition", title="condition"),
+    Column(name="words", title="where more error is safer"),
+]
+BASELINE: Final = [
+    Column(name="condition", title="condition"),
+    Column(name="cells", title="cells"),
+    Column(name="drives", title="drives", format=Format.COUNT),
+    Column(name="violate", title="violate", format=Format.SHARE, optional=True),
+    Column(name="interval", title="95% interval"),
+]
 
 
 class TolerancesKind(Kind):
@@ -40,9 +60,15 @@ class TolerancesKind(Kind):
             title=self.title,
             role=subject.role,
             sentence=view.note,
-            more=[view.caveat],
+            purpose="Brink measured how gross the errors of the component may be before more than "
+            f"{view.limit:.0%} of drives violate a requirement because of them.",
+            example="".join(f"Tightest: {cell.sentence}" for cell in _tightest(view)[:1]),
+            figures=_figures(view),
+            caveats=_caveats(view),
+            trust=_trust(view),
+            legend=_legend(view),
             is_empty=not any(cell.basis for cell in view.cells),
-            tables=[cells_table(view, subject.rows)],
+            tables=[cells_table(view, subject.rows), *_further_tables(view, subject.rows)],
             steps=[
                 Step(
                     kind="export",
@@ -71,6 +97,84 @@ class TolerancesKind(Kind):
         return [_search(subject.campaign, errors_problem)] if errors_problem else []
 
 
+def _tightest(view: ToleranceView) -> list[CellView]:
+    """Return the cells with a limit, the tightest first."""
+    limited = [cell for cell in view.cells if cell.tolerated.finding is Tolerated.LIMIT]
+    return sorted(limited, key=lambda cell: cell.tolerated.value.severity or 0.0)
+
+
+def _figures(view: ToleranceView) -> list[Term]:
+    known = Counter(cell.tolerated.finding for cell in view.cells)
+    return [
+        Term(
+            term=f"{known[Tolerated.LIMIT]:,} of {len(view.cells):,}",
+            words="cells with a limit within the scale",
+        ),
+        Term(term=f"{known[Tolerated.THROUGHOUT]:,}", words="cells in which no limit was found"),
+        Term(term=f"{known[Tolerated.UNDECIDED]:,}", words="cells undecided"),
+    ]
+
+
+def _caveats(view: ToleranceView) -> list[str]:
+    told = [f"Each limit has an interval that covers the truth with a probability of {view.confidence:.0%}"]
+    if view.open:
+        told.append(
+            f"Of {counted(view.open, 'violation')} it is not known yet whether the error caused them; they count as "
+            "caused"
+        )
+    return [*told, view.caveat]
+
+
+def _trust(view: ToleranceView) -> list[Term]:
+    if not view.audited:
+        return []
+    words = (
+        "Drives that hold with the grossest error are taken to hold with milder ones. Of "
+        f"{view.audited:,} that were simulated with milder ones all the same, {view.leaks:,} violated a requirement."
+    )
+    return [Term(term="Screening", words=words)]
+
+
+def _legend(view: ToleranceView) -> list[str]:
+    return [
+        "A cell is a type of error that concerns one target, under one condition. A violation counts if it goes away "
+        f"without the error, in the same drive with the same seed. The limit is {view.limit:.0%} of drives",
+        KEY,
+    ]
+
+
+def _further_tables(view: ToleranceView, rows: int) -> list[Table]:
+    """Return the requirements in sentences, where more error is safer, and the drives without any error."""
+    sentences = [cell.sentence for cell in _tightest(view)]
+    sentences += [cell.sentence for cell in view.cells if cell.tolerated.finding is Tolerated.THROUGHOUT]
+    falls = [[cell.error, cell.condition, cell.fall.words] for cell in view.cells if cell.fall is not None]
+    baseline = [
+        [
+            one.condition,
+            " or ".join(" ".join(choices.values()) for choices in one.choices if choices).replace("_", " ")
+            or "all",
+            one.share.evaluated,
+            one.share.probability,
+            f"{one.share.low:.0%} to {one.share.high:.0%}",
+        ]
+        for one in view.baseline
+    ]
+    return [
+        Table(
+            name=name,
+            title=title,
+            columns=columns,
+            rows=all_rows[:rows],
+            left_out=max(0, len(all_rows) - rows),
+        )
+        for name, title, columns, all_rows in (
+            ("requirements", "The requirements, tightest first", SENTENCES, [[words] for words in sentences]),
+            ("falls", "Where more error is safer", FALLS, falls),
+            ("baseline", "Drives without any error", BASELINE, baseline),
+        )
+    ]
+
+
 def cells_table(view: ToleranceView, rows: int | None = None) -> Table:
     """Return the tolerances as a table with one row for each cell."""
     names = list(view.cells[0].choices) if view.cells else []
@@ -79,11 +183,10 @@ def cells_table(view: ToleranceView, rows: int | None = None) -> Table:
         *(Column(name=name.rpartition(".")[2], title=name.rpartition(".")[2], detail=True) for name in names),
         Column(name="error", title="error"),
         Column(name="condition", title="condition"),
-        Column(name="finding", title="finding"),
+        Column(name="tolerated", title=f"tolerated, {view.confidence:.0%} interval"),
+        Column(name="finding", title="finding", detail=True),
         Column(name="unit", title="unit", detail=True),
-        Column(name="value", title="tolerated", format=Format.NUMBER),
-        Column(name="low", title="low", format=Format.NUMBER),
-        Column(name="high", title="high", format=Format.NUMBER),
+        *(Column(name=end, title=end, format=Format.NUMBER, detail=True) for end in ends),
         *(
             Column(name=f"severity_{end}", title=f"severity, {end}", format=Format.NUMBER, detail=True)
             for end in ends
@@ -92,6 +195,7 @@ def cells_table(view: ToleranceView, rows: int | None = None) -> Table:
             Column(name=name, title=name, format=Format.COUNT)
             for name in ("screened", "vulnerable", "drives", "caused")
         ),
+        Column(name="example", title="mildest example", format=Format.SOLUTION, optional=True),
         Column(name="sentence", title="sentence", detail=True),
     ]
     shown = view.cells[:rows]
@@ -110,6 +214,7 @@ def _cells(cell: CellView) -> list[str | int | float | None]:
     return [
         cell.error,
         cell.condition,
+        cell.tolerated_words,
         tolerated.finding.value,
         cell.unit,
         *(one.magnitude for one in amounts),
@@ -118,6 +223,7 @@ def _cells(cell: CellView) -> list[str | int | float | None]:
         cell.vulnerable,
         cell.drives,
         cell.caused,
+        cell.examples[0].number if cell.examples else None,
         cell.sentence,
     ]
 

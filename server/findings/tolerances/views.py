@@ -92,6 +92,9 @@ class CellView(View):
     ]
     vulnerable: Annotated[int, Field(description="Those with a violation that the grossest error caused.")]
     tolerated: ToleratedView
+    tolerated_words: Annotated[
+        str, Field(description="The tolerated magnitude with its interval, such as `2.2 s [1.4, 2.8]`.")
+    ] = ""
     curve: CurveView
     fall: FallView | None
     examples: Annotated[list[ExampleView], Field(description="Mildest errors that caused a violation first.")]

@@ -4,11 +4,12 @@ from brink.server.campaigns.plan import Plan
 from brink.server.findings.finding import Finding, Role
 from brink.server.findings.kind import Kind, Listed, Subject
 from brink.server.findings.table import Column, Format, Table
+from brink.server.findings.words import counted
 from brink.server.states import OutcomeKind
 
 COLUMNS = [
     Column(name="outcome", title="outcome"),
-    Column(name="verdict", title="verdict"),
+    Column(name="verdict", title="verdict", format=Format.STATE),
     Column(name="solutions", title="solutions", format=Format.COUNT),
     Column(name="share", title="share", format=Format.SHARE),
 ]
@@ -44,11 +45,22 @@ class VerdictsKind(Kind):
             [group.words, _VERDICTS[group.kind], count, count / len(read.archive)]
             for group, count in groups[: subject.rows]
         ]
+        recorded = outcomes.recorded
+        legend = []
+        if any(group.others for group in outcomes.groups):
+            legend = [
+                "Safe and unsafe are with regard to the requirements of the campaign alone: a safe "
+                f"{subject.noun} may violate another one"
+            ]
+        if 0 < recorded < len(read.archive):
+            missing = counted(len(read.archive) - recorded, subject.noun)
+            legend.append(f"For {missing}, other requirements were not recorded")
         return Finding(
             kind=self.id,
             title=self.title,
             role=subject.role,
             sentence=f"{campaign.unsafe:,} of {campaign.evaluated:,} solutions {violate}",
+            legend=legend,
             tables=[
                 Table(
                     name="verdicts",

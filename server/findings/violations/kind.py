@@ -6,7 +6,7 @@ from typing import Final
 from brink.search.analysis.avoidable import EXPLANATION, Avoidable
 from brink.search.analysis.violations import FoundViolation, by_type
 from brink.server.campaigns.violations import read_violations
-from brink.server.findings.finding import Finding, Step
+from brink.server.findings.finding import Finding, Step, Term
 from brink.server.findings.kind import Kind, Listed, Settings, Subject
 from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.violations.analysis import seen_again, violation_types, violations_words
@@ -27,6 +27,14 @@ COLUMNS: Final = [
     Column(name="example", title="example", format=Format.SOLUTION),
     Column(name="type", title="type of violation"),
     Column(name="first", title="first solution", format=Format.SOLUTION, detail=True),
+]
+LEGEND: Final = [
+    "Avoidable: each drive with a violation was driven again by reference drivers among the same road users, which "
+    "follow the same scripts; a violation is avoided if the driver has neither it nor a collision until 5 s "
+    "afterwards",
+    "Again: the same drives with other seeds that had the type too",
+    "Violations with the same circumstances are of one type; who is at fault by the rule follows from who moved how, "
+    "and is no legal judgement",
 ]
 _AT_FAULT: Final = {True: "ego", False: "others", None: "differs"}
 
@@ -73,6 +81,11 @@ class ViolationsKind(Kind):
             role=subject.role,
             sentence=violations_words(found),
             more=[EXPLANATION] if any(kind.avoidable for kind in types) else [],
+            purpose="Brink searched for ways in which other road users make the driving system violate a "
+            "requirement, as different from each other as possible.",
+            example=_example(types),
+            figures=[Term(term=f"{len(types):,}", words="types of violations")],
+            legend=LEGEND if types else [],
             is_empty=not found,
             view=ViolationsFound(examples=examples, explanation=EXPLANATION if examples else ""),
             tables=[types_table(types[: subject.rows], left_out=max(0, len(types) - subject.rows))],
@@ -99,6 +112,16 @@ class ViolationsKind(Kind):
         if not any(kinds):
             return words
         return f"{kinds.count(Avoidable.CAREFUL) or 'none'} of {words} avoidable"
+
+
+def _example(types: Sequence[TypeView]) -> str:
+    """Return the first type in a sentence; empty if there is none."""
+    if not types:
+        return ""
+    most = types[0]
+    which = "The most frequent type" + (f" {most.avoidable.words}" if most.avoidable else "")
+    drives = "drive" if most.solutions == 1 else "drives"
+    return f"{which}, in {most.avoided} {drives}: {most.type}"
 
 
 def types_table(types: Sequence[TypeView], left_out: int = 0) -> Table:

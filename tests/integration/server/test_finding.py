@@ -101,14 +101,13 @@ def test_the_best_pairs_are_confirmed_ones_and_refuted_ones_come_last(client: ht
     campaign = finish(client, PAIRS)
     pairs = expect(client.get(f"{API}/{campaign}/pairs"))["pairs"]
     assert len(pairs) > 2
-    assert [one["evidence"] for one in of_pairs(finding(client, campaign))["best"]] == [
-        "not simulated again yet"
-    ] * 2
+    known = {tuple(one["evidence"].split(", ")) for one in of_pairs(finding(client, campaign))["best"]}
+    assert known <= {("found once", "different seeds"), ("checked", "different seeds")}
     ask = {"kind": "confirm", "limit": 2}
     again = expect(client.post(f"{API}/{campaign}/pairs/follow-ups", json=ask), 201)["campaign"]
-    assert {one["evidence"] for one in of_pairs(finding(client, campaign))["best"]} == {
-        "being simulated again"
-    }
+    assert all(
+        "confirmation pending" in one["evidence"] for one in of_pairs(finding(client, campaign))["best"]
+    )
     first = pairs[0]["unsafe"]["parameters"]
 
     def refuting(job: LeasedJob) -> Completed | JobFailed:
@@ -124,10 +123,7 @@ def test_the_best_pairs_are_confirmed_ones_and_refuted_ones_come_last(client: ht
     FakeWorker(client, judge=refuting).work(again)
     found = finding(client, campaign)
     assert [one["place"] for one in of_pairs(found)["best"]] == [2, 3]
-    assert (
-        of_pairs(found)["best"][0]["evidence"]
-        == "confirmed: unsafe in 0/15 and 15/15 drives with other seeds"
-    )
+    assert "confirmed 0/15 15/15" in of_pairs(found)["best"][0]["evidence"]
     assert "unsafe drive in 15 of 15." in of_pairs(found)["best"][0]["shares"]
     assert (of_pairs(found)["best"][1]["state"], of_pairs(found)["best"][1]["shares"]) == ("not tried", "")
     assert of_pairs(found)["rings"][0] == [pairs[0]["safe"]["number"], pairs[0]["unsafe"]["number"]], (

@@ -15,7 +15,6 @@ from typer.testing import CliRunner
 
 from brink.cli.commands import app
 from brink.cli.pair_tables import print_pairs
-from brink.report.pair_words import evidence_words, legend
 from brink.search.sequential import exact_interval
 from brink.server.campaigns.body import parse_body
 from brink.server.db.engine import Engines
@@ -127,7 +126,7 @@ def test_pairs_are_listed_by_evidence_and_keep_their_numbers(client: httpx.Clien
     assert again["campaign"] == asked["campaign"], "a limit is a number of a pair, whatever was found of it"
     table = client.get(f"{API}/{campaign}/pairs", params={"d_th": 0.01, "format": "csv"}).text
     assert [row["pair"] for row in csv.DictReader(io.StringIO(table))] == ["2", "1"]
-    words = legend(PairsView.model_validate(pairs_of(client, campaign)))
+    words = pairs_of(client, campaign)["legend"]
     assert [term.partition(":")[0] for term in words if term.startswith(("conf", "ref", "undec"))] == [
         "confirmed 0/15 26/27",
         "refuted",
@@ -428,7 +427,7 @@ def test_the_command_asks_and_then_shows_what_came(listening_client: httpx.Clien
     assert "simulates them" in limited
     confirms = [one for one in pairs_of(listening_client, campaign)["follow_ups"] if one["kind"] == "confirm"]
     assert confirms[-1]["budget"] == 22, "both sides of the first pair"
-    assert {evidence_words(view, pair) for pair in view.pairs} == {
+    assert {", ".join(pair.evidence) for pair in view.pairs} == {
         "found once, confirmed 0/15 15/15, component's hazard (one seed), 1 of 3 differences is enough",
         "found once, confirmed 0/15 15/15, scenario's hazard (one seed), minimal",
     }
@@ -460,7 +459,7 @@ def test_few_drives_refute_a_pair_but_confirm_none(client: httpx.Client) -> None
     view = pairs_of(client, campaign)
     assert sorted(pair["confirmation"]["state"] for pair in view["pairs"]) == ["refuted", "undecided"]
     assert "0 confirmed, 1 refuted and 1 undecided" in view["note"]
-    words = legend(PairsView.model_validate(view))
+    words = view["legend"]
     assert any(term.startswith("undecided: neither") for term in words)
 
 
