@@ -150,12 +150,20 @@ S_co = TypeVar("S_co", bound=State, covariant=True)
 class Algorithm(Protocol[C, S]):
     """A search algorithm. Instances hold no state and are cheap to create.
 
+    Findings are read from the archive, never from the state. What each kind needs of an algorithm that is for it:
+
+    - ``boundary``: nothing. With each generation, neighbours are counted in its archive, by its settings ``radius``,
+      ``p_th`` and ``z`` if it has them.
+    - ``pairs``: safe and unsafe solutions that are near each other, best with one episode seed
+      (`Candidate.seed_number`): differences of a pair with two seeds cannot be reverted one by one. They are shown at
+      its settings ``eps`` and ``d_th`` if it has them. Repeated solutions with other seeds count as checks of a pair.
+
     Attributes:
         id: Versioned plug-in id, such as ``mlcshe@1``.
         summary: One line for catalogues.
         config_type: Frozen dataclass whose fields are declared with `brink.search.settings.setting`.
         finds: Optional. The kinds of findings that it finds, what it is for first, such as ``("pairs",)``; by
-            default, ``("boundary",)``.
+            default, ``("boundary",)``. See below.
         suggested: Optional. Place among the algorithms that a new campaign may begin with, the lowest first.
         former: Optional. For settings that were added later, what their value was before, by name.
         is_baseline: Optional. Whether it draws solutions at random, without a search.

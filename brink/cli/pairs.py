@@ -57,7 +57,7 @@ def pairs(
             min=0.0,
             max=1.0,
             show_default=False,
-            help="Largest distance between the sides of a pair (default: that of edge@1, else 0.02).",
+            help="Largest distance between the sides of a pair (default: that of the search for pairs, else 0.02).",
         ),
     ] = None,
     d_th: Annotated[
@@ -67,7 +67,7 @@ def pairs(
             min=0.0,
             max=1.0,
             show_default=False,
-            help="Smallest distance between two distinct pairs (default: that of edge@1, else 0.2).",
+            help="Smallest distance between two distinct pairs (default: that of the search for pairs, else 0.2).",
         ),
     ] = None,
     limit: Annotated[

@@ -138,13 +138,13 @@ class Ledger:
 
     @classmethod
     def start(
-        cls, space: SearchSpace, config: LedgerConfig, *, seed: int, budget: int, known: Known | None = None
+        cls, space: SearchSpace, config: object, *, seed: int, budget: int, known: Known | None = None
     ) -> Self:
         """Return an empty ledger.
 
         Args:
             space: The search space.
-            config: Settings of the neighbourhood.
+            config: Settings; the archive takes those of its neighbourhood, if there are any.
             seed: The campaign's seed.
             budget: Number of evaluations.
             known: What is known already; None for nothing.
@@ -344,12 +344,12 @@ class Ledger:
         )
 
     @classmethod
-    def load(cls, space: SearchSpace, config: LedgerConfig, document: Document, archive: Archive) -> Self:
+    def load(cls, space: SearchSpace, config: object, document: Document, archive: Archive) -> Self:
         """Return the ledger that `dump` stored.
 
         Args:
             space: The search space.
-            config: Settings of the neighbourhood.
+            config: Settings; the archive takes those of its neighbourhood, if there are any.
             document: The document that `dump` returned.
             archive: The archive of the ledger at that time.
 
@@ -527,7 +527,7 @@ class BoundaryState(LedgerState):
         return self.ledger.evidence.fitness[: len(self.archive)]
 
 
-C = TypeVar("C", bound=LedgerConfig)
+C = TypeVar("C")
 S = TypeVar("S", bound=LedgerState)
 
 

@@ -4,6 +4,7 @@ import httpx
 import pytest
 from playwright.sync_api import expect as shown
 from support.api import FakeWorker, ball, expect, finish
+from support.bisection import Bisection
 from support.extremes import ExtremesAlgorithm, ExtremesKind
 
 from brink.server.findings.kind import FINDINGS
@@ -33,3 +34,20 @@ def test_a_toy_kind_has_a_card_with_its_table_and_all_its_rows(
     shown(card.get_by_role("row")).to_have_count(41)
     steps = page.get_by_role("region", name="What to do next")
     shown(steps.get_by_text("What happens there?")).to_be_visible()
+
+
+def test_a_toy_algorithm_of_pairs_has_the_pages_of_pairs(
+    own: httpx.Client, visit: Visits, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(catalogue._registered, ALGORITHMS, {Bisection.id: Bisection})
+    campaign = finish(own, ball(simulations=60, algorithm={"id": Bisection.id, "params": {"eps": 0.04}}))
+    FakeWorker(own).lease()
+    count = expect(own.get(f"/api/v1/campaigns/{campaign}/pairs"))["distinct"]
+    page = visit(origin(own), f"#/campaigns/{campaign}")
+    words = f"{count} distinct pairs across the boundary"
+    shown(page.get_by_role("region", name="Finding", exact=True)).to_contain_text(words)
+    shown(page.get_by_role("region", name="What to do next")).to_contain_text("Do the pairs hold?")
+    shown(page.get_by_role("heading", name="Fitness by generation")).to_be_hidden()
+    shown(page.get_by_role("heading", name="Distinct boundary solutions")).to_be_hidden()
+    page = visit(origin(own), f"#/campaigns/{campaign}/pairs")
+    shown(page.get_by_role("main")).to_contain_text(words)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.bisection import Bisection, BisectionConfig
 
 from brink.search.algorithm import AnyAlgorithm, Candidate, Evaluation, Failed, Scored
 from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig, RandomSearchState
@@ -215,3 +216,8 @@ class Writable(RandomSearch):
 def test_contract_catches_what_breaks_it(broken: AnyAlgorithm, promise: str) -> None:
     with pytest.raises(ContractBroken, match=promise):
         check_algorithm(broken, SPACES["mixed"], budget=150)
+
+
+@pytest.mark.parametrize("space", SPACES)
+def test_a_toy_algorithm_with_settings_of_its_own_keeps_the_contract(space: str) -> None:
+    check_algorithm(Bisection(), SPACES[space], config=BisectionConfig(draws=8), budget=30, ends_itself=True)

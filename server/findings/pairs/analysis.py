@@ -176,8 +176,8 @@ def _chance(pairs: CampaignPairs, again: int, changed: int, *, refuted: int) -> 
         )
     if refuted and refuted == len(pairs.found.pairs):
         told.append(
-            "No pair held with other seeds, so chance has a part in all of them. With more checks, edge@1 drops such "
-            "pairs during the search"
+            "No pair held with other seeds, so chance has a part in all of them. A search that checks pairs with "
+            "further seeds drops such pairs"
         )
     return tuple(told)
 

@@ -31,6 +31,37 @@ def test_nothing_compares_or_lists_ids_of_algorithms_or_asks_what_a_search_looks
     assert guilty == []
 
 
+def test_results_and_their_sentences_name_no_algorithm_and_no_type_of_the_search_for_pairs() -> None:
+    ids = _algorithm_ids().values()
+    guilty = []
+    for file in _sources():
+        tree = ast.parse(file.read_text())
+        if "algorithms.edge" in "".join(_imported(tree)):
+            guilty.append(f"{file}: imports the search for pairs")
+        if {"findings", "campaigns"} & set(file.relative_to(ROOT).parts):
+            guilty += [
+                f"{file}:{node.lineno}: {node.value}"
+                for node in ast.walk(tree)
+                if isinstance(node, ast.Constant) and isinstance(node.value, str)
+                if any(one in node.value for one in ids) and id(node) not in _docstrings(tree)
+            ]
+    assert guilty == []
+
+
+def _imported(tree: ast.AST) -> Iterator[str]:
+    """Yield the names of the modules that a module imports from."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            yield f"{node.module} "
+        elif isinstance(node, ast.Import):
+            yield from (f"{one.name} " for one in node.names)
+
+
+def _docstrings(tree: ast.AST) -> set[int]:
+    """Return the identities of the strings that stand alone, as documentation does."""
+    return {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+
+
 def _listed(node: ast.AST) -> list[ast.expr]:
     """Return the members of a list, and the keys of a dictionary."""
     if isinstance(node, ast.List | ast.Tuple | ast.Set):

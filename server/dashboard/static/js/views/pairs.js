@@ -112,7 +112,7 @@ export function pairsCard(context, id) {
 }
 
 function aboutPairs(read) {
-  if (read.pairs.length === 0) return read.complete ? "A search for pairs is edge@1; other searches hold the pairs that they happen to find." : "The page follows the search.";
+  if (read.pairs.length === 0) return !read.complete ? "The page follows the search." : read.searched ? "" : "This search was not for pairs, and holds those that it happened to find; edge@1 searches for them.";
   const sentences = [`The sides of a pair are at most ${figure(read.eps)} apart, or differ in one step of one parameter; pairs are at least ${figure(read.d_th)} apart.`];
   sentences.push(...[read.blame, ...read.chance].filter(Boolean).map((words) => `${words}.`));
   if (read.distinct > read.pairs.length) sentences.push(`Only the first ${count(read.pairs.length)} of ${count(read.distinct)} are shown.`);
