@@ -273,7 +273,7 @@ def run_search(task: Task) -> SearchRun:
         if seeds is None:
             return run
         spent = seeds.spent
-        return replace(run, calls=spent.requests, tokens=spent.tokens, waited_s=seeds.waited_s)
+        return replace(run, calls=spent.total_calls, tokens=spent.total_tokens, waited_s=seeds.waited_s)
 
 
 @contextmanager

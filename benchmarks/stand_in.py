@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Final
 
@@ -27,12 +28,13 @@ from brink.search.traffic.constraint import participants_component
 from brink.search.traffic.participants import RoadLimits
 from brink.search.traffic.variation import TrafficGenome, hostile_solution, prolonged
 from brink.server.llm.access import LlmAccess
-from brink.server.llm.calls import Breaker, CallKey, Spent, StoredCall, spent_on, tokens_of
+from brink.server.llm.calls import tokens_of
 from brink.server.llm.client import LlmClient
 from brink.server.llm.replies import to_text
 from brink.server.llm.seeds import ask
 from brink.server.llm.settings import LlmSettings
 from brink.server.problems.base import SupportsSeeds
+from brink.server.seeding import LlmCall, Spent, spent_on
 
 MODEL: Final = "stand-in"
 BROKEN_EVERY: Final = 5
@@ -110,26 +112,18 @@ def _completion(text: str, prompt_chars: int) -> dict[str, Any]:
 
 
 class _Calls:
-    """The calls of a search, in memory."""
+    """The calls of a search, in memory. They are not dated: the circuit breaker never waits."""
 
     def __init__(self) -> None:
-        self._calls: dict[CallKey, StoredCall] = {}
+        self._calls: dict[tuple[int, int], LlmCall] = {}
 
-    def find(self, key: CallKey) -> StoredCall | None:
-        """Return a call, or None if it was never made."""
-        return self._calls.get(key)
+    def read(self) -> tuple[list[LlmCall], datetime]:
+        """Return all calls, and the current time."""
+        return list(self._calls.values()), datetime.now(UTC)
 
-    def store(self, call: StoredCall) -> None:
+    def store(self, call: LlmCall) -> None:
         """Store a call, replacing the same call while it was in progress."""
-        self._calls[call.key] = call
-
-    def spent(self) -> Spent:
-        """Return the totals of all calls."""
-        return spent_on(self._calls.values())
-
-    def breaker(self) -> Breaker:
-        """Return a circuit breaker that never opens: the stand-in is always available."""
-        return Breaker()
+        self._calls[call.request, call.turn] = call
 
 
 class StandInSeeds:
@@ -155,7 +149,7 @@ class StandInSeeds:
     @property
     def spent(self) -> Spent:
         """Calls and tokens so far."""
-        return self._calls.spent()
+        return spent_on(self._calls.read()[0])
 
     def proposals(self, request: SeedRequest) -> Sequence[Proposal]:
         """Return the usable solutions of the answer to a request, after a repair turn if there are errors."""
@@ -165,17 +159,9 @@ class StandInSeeds:
         return found
 
     async def _ask(self, request: SeedRequest) -> Sequence[Proposal]:
-        problem = self._problem
         # Certificates, which this endpoint does not need, take longer to load than it takes to answer.
         async with LlmClient(
             self._settings, access=LlmAccess(), transport=httpx.AsyncHTTPTransport(verify=False)
         ) as client:
-            answered = await ask(
-                request,
-                road=problem.road,
-                max_participants=problem.max_participants,
-                system=problem.system,
-                log=self._calls,
-                client=client,
-            )
+            answered = await ask(request, self._problem, self._calls, client)
         return answered.proposals

@@ -57,12 +57,11 @@ from brink.server.errors import Unavailable
 from brink.server.experiments.body import MAX_CAMPAIGNS
 from brink.server.experiments.pairs import PairCache
 from brink.server.experiments.service import ExperimentService, ScoreCache
-from brink.server.llm.access import LlmAccess
-from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
 from brink.server.queue.wakeups import Wakeups, count_listening, listen
 from brink.server.read_threads import ReadThreads
+from brink.server.seeding import Access, seeder
 from brink.server.settings import LOOPBACK, Settings
 from brink.server.single_flight import SingleFlightCache
 from brink.server.user_code import USER_CODE
@@ -97,7 +96,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
         DatabaseError: The database URL cannot be used.
         InvalidInput: The setting with the language models is malformed.
     """
-    access = LlmAccess.parse(settings.llm_endpoints)
+    access = seeder().access(settings.llm_endpoints)
     engines = open_engines(settings.database)
     metrics = Metrics()
 
@@ -224,7 +223,7 @@ def _context(
     settings: Settings,
     engines: Engines,
     metrics: Metrics,
-    access: LlmAccess,
+    access: Access,
     loop: asyncio.AbstractEventLoop,
     *,
     sweeping: bool,
@@ -240,7 +239,7 @@ def _context(
             loop.call_soon_threadsafe(scheduler.advance_soon, [campaign_id])
 
     writer = Writer(engines.writer, on_commit=metrics.commits.observe)
-    seeds = LlmSeeds(engines, writer, on_seeds, access)
+    seeds = seeder().source(engines, writer, on_seeds, access)
     stepper = Stepper(
         engines,
         writer,

@@ -1,7 +1,8 @@
 """The settings of a coordinator, from environment variables (``BRINK_…``) and the command line."""
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -108,3 +109,12 @@ class Settings(BaseSettings):
         """The database file, or None if the database is not SQLite."""
         prefix = "sqlite:///"
         return Path(self.database.removeprefix(prefix)) if self.database.startswith(prefix) else None
+
+    def allowing(self, endpoints: Iterable[str]) -> Self:
+        """Return settings that also allow some language models, without a key.
+
+        Args:
+            endpoints: Base URLs that a file names which its user runs on this machine.
+        """
+        allowed = ",".join(filter(None, [self.llm_endpoints, *endpoints]))
+        return self.model_copy(update={"llm_endpoints": allowed})

@@ -22,7 +22,7 @@ from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.plan import make_plan
 from brink.server.campaigns.simulators import changed_sources
 from brink.server.experiments.body import ExperimentBody
-from brink.server.llm.settings import LlmSettings
+from brink.server.seeding import SeederSettings
 from brink.server.states import CampaignStatus
 
 
@@ -39,7 +39,7 @@ class Workload(Protocol[P]):
     note: str
 
     @property
-    def models(self) -> Sequence[LlmSettings | None]: ...  # noqa: D102
+    def models(self) -> Sequence[SeederSettings | None]: ...  # noqa: D102
 
     async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> P | None:
         """Return the latest run that has one of these statuses."""

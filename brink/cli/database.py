@@ -36,12 +36,12 @@ from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import DatabaseError, InvalidInput
-from brink.server.llm.access import LlmAccess
 from brink.server.operations.doctor import State, examine
 from brink.server.operations.export_file import open_export
 from brink.server.operations.prune import Pruned, prune
 from brink.server.operations.transfer import export_campaign, import_campaign
 from brink.server.runtime.database import check_database, check_exists, prepare_database, shown_url
+from brink.server.seeding import seeder
 from brink.server.settings import Settings
 from brink.server.states import CampaignStatus, Scope
 
@@ -135,7 +135,7 @@ def import_(
     Example: brink import traffic.brink
     """
     settings = settings_with(database=database)
-    access = LlmAccess.parse(settings.llm_endpoints)
+    access = seeder().access(settings.llm_endpoints)
     with open_export(file) as export:  # a file that is none leaves no database behind
         prepare_database(settings)
         with _opened(settings) as engines, engines.writer.begin() as connection:

@@ -1,6 +1,7 @@
 """`brink llm`: check an endpoint, preview the prompts of a campaign, list the calls of a campaign."""
 
 import asyncio
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -23,15 +24,16 @@ from brink.cli.options import (
     with_api,
 )
 from brink.search.algorithm import SeedRequest
-from brink.server.api.schemas import LlmCalls
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
-from brink.server.llm.access import LlmAccess, with_endpoints
+from brink.server.llm.access import LlmAccess
 from brink.server.llm.preflight import EndpointReport, check_endpoint, estimate
 from brink.server.llm.prompts import example, question
+from brink.server.llm.seeder import EXPECTED
 from brink.server.llm.settings import LlmSettings
 from brink.server.problems.base import SupportsSeeds
+from brink.server.seeding import LlmCalls
 
 llm = typer.Typer(help="Check and preview language models that seed searches.", no_args_is_help=True)
 
@@ -47,16 +49,11 @@ def check(file: CampaignFile, as_json: AsJson = False) -> None:
     """
     with about_file(file):
         settings = _settings(read_campaign_file(file))
-    access = LlmAccess.parse(with_endpoints(settings_with().llm_endpoints, [settings]))
+    access = LlmAccess.parse(settings_with().allowing([settings.endpoint]).llm_endpoints)
     with Steps(console(stderr=True), f"querying {settings.model}"):
         report = asyncio.run(check_endpoint(settings, access=access))
     if as_json:
-        print_json(
-            {
-                **fields(report, "works", "mode", "reachable", "models", "model_listed", "trouble"),
-                "modes": [fields(one) for one in report.modes],
-            }
-        )
+        print_json({"works": report.works, "mode": report.mode, **asdict(report)})
     else:
         _print_report(settings, report)
     if not report.works:
@@ -204,16 +201,13 @@ def log(
 def _print_calls(found: LlmCalls) -> None:
     table = plain_table("request", "turn", "outcome", "HTTP requests", "tokens", "cost", "seconds")
     for call in found.calls:
-        tokens = "–"
-        if call.prompt_tokens is not None and call.completion_tokens is not None:
-            estimate = " (estimate)" if call.estimated else ""
-            tokens = f"{call.prompt_tokens + call.completion_tokens}{estimate}"
+        tokens = "–" if call.prompt_tokens is None else str(call.tokens)
         table.add_row(
             str(call.request),
             str(call.turn),
             call.outcome,
             str(call.calls),
-            tokens,
+            f"{tokens} (estimate)" if call.estimated else tokens,
             _money(call.cost),
             f"{call.latency_s:.1f}",
         )
@@ -239,7 +233,6 @@ def _settings(body: CampaignBody) -> LlmSettings:
     Raises:
         InvalidInput: The file names none.
     """
-    if body.llm is None:
-        message = "expected a language model, such as {endpoint: http://127.0.0.1:8000/v1, model: ...}"
-        raise InvalidInput.at("/llm", message)
+    if not isinstance(body.llm, LlmSettings):
+        raise InvalidInput.at("/llm", EXPECTED)
     return body.llm

@@ -26,7 +26,6 @@ from brink.server.campaigns.plan import make_plan
 from brink.server.errors import Conflict
 from brink.server.findings.boundary.repeat_views import RepeatsView
 from brink.server.findings.follow_ups import FollowUpView
-from brink.server.llm.access import with_endpoints
 from brink.server.problems.catalogue import check_extra
 from brink.server.runtime.coordinator import WorkerProcesses, local_coordinator
 from brink.server.settings import LOOPBACK, Settings
@@ -182,11 +181,11 @@ def run_to_end(
     Raises:
         Conflict: An earlier run is unfinished, and neither `resume` nor `new` is set.
     """
-    settings = settings_with(database=options.database, port=options.port)
     # The user runs both the file and the coordinator, so the language models that the file names are allowed. Keys
     # are not, nor are the models of other campaigns in the database: the file and these may come from other people.
-    allowed = with_endpoints(settings.llm_endpoints, workload.models)
-    settings = settings.model_copy(update={"llm_endpoints": allowed})
+    settings = settings_with(database=options.database, port=options.port).allowing(
+        model.endpoint for model in workload.models if model is not None
+    )
 
     async def work(session: CommandSession) -> T | None:
         name, ended = await _start(workload, options, session)

@@ -202,7 +202,7 @@ def varied(body: CampaignBody, parameter: str, values: list[Any], seeds: int) ->
                 "name": f"{value:g}" if isinstance(value, float) else str(value),
                 "id": body.algorithm.id,
                 "params": {**body.algorithm.params, parameter: value},
-                "llm": None if body.llm is None else body.llm.model_dump(mode="json"),
+                "llm": body.document()["llm"],
             }
             for value in values
         ],

@@ -15,8 +15,7 @@ from brink.python.display import display_of
 from brink.python.result import AsyncResult, Result, check_finished
 from brink.python.synchronous import Synchronous, synchronous_method
 from brink.server.api.schemas import CampaignList, CampaignView, Progress
-from brink.server.llm.access import with_endpoints
-from brink.server.llm.settings import LlmSettings
+from brink.server.seeding import SeederSettings
 from brink.server.settings import Settings
 
 _PAGE: Final = 200
@@ -207,16 +206,15 @@ def _connection(url: str | None, token: str | None, database: str | None) -> Con
     return Connection.local(settings_of(database))
 
 
-def settings_of(database: str | None, model: LlmSettings | None = None) -> Settings:
+def settings_of(database: str | None, model: SeederSettings | None = None) -> Settings:
     """Return the settings of a local coordinator.
 
     Args:
         database: URL of its database, or the path of a SQLite file; None for the default one.
         model: Language model of the campaign that the user runs with it, which is allowed without a key.
     """
-    settings = Settings()
-    allowed = with_endpoints(settings.llm_endpoints, [model])
-    changes = {"llm_endpoints": allowed}
-    if database is not None:
-        changes["database"] = database if "://" in database else f"sqlite:///{database}"
-    return settings.model_copy(update=changes)
+    settings = Settings().allowing([] if model is None else [model.endpoint])
+    if database is None:
+        return settings
+    url = database if "://" in database else f"sqlite:///{database}"
+    return settings.model_copy(update={"database": url})

@@ -33,8 +33,6 @@ from brink.server.api.schemas import (
     DoomedCampaign,
     GenerationView,
     KnownView,
-    LlmCall,
-    LlmCalls,
     Progress,
 )
 from brink.server.campaigns import view_store
@@ -68,10 +66,9 @@ from brink.server.db.engine import read
 from brink.server.db.writer import Trouble
 from brink.server.documents import MAX_FILE_BYTES, parse_yaml
 from brink.server.errors import InvalidInput, NotFound
-from brink.server.llm.calls import StoredCall, spent_on
-from brink.server.llm.store import list_calls
 from brink.server.queue.job_store import count_unfinished, queued_needs
 from brink.server.queue.workers import live_capabilities
+from brink.server.seeding import LlmCalls, spent_on
 from brink.server.states import CampaignStatus
 from brink.server.views import View
 from brink.sim.catalogue import worker_for
@@ -598,32 +595,9 @@ async def get_llm_calls(
 ) -> LlmCalls:
     """Return the language-model calls of a campaign and their cost."""
     campaign = await services.campaigns.get(campaign_id)
-    calls = await read(services.engines, lambda connection: list_calls(connection, campaign.id))
-    spent = spent_on(calls)
+    calls = await read(services.engines, lambda connection: services.seeds.calls(connection, campaign.id))
     return LlmCalls(
-        calls=[_llm_call(call, replies=replies) for call in calls],
-        total_calls=spent.requests,
+        **spent_on(calls).model_dump(),
+        calls=calls if replies else [call.model_copy(update={"reply": None}) for call in calls],
         max_calls=None if campaign.body.llm is None else campaign.body.llm.max_calls,
-        total_tokens=spent.tokens,
-        estimated_tokens=spent.estimated_tokens,
-        cost=spent.cost,
-    )
-
-
-def _llm_call(call: StoredCall, *, replies: bool) -> LlmCall:
-    usage = call.usage
-    return LlmCall(
-        request=call.key.request,
-        turn=call.key.turn,
-        outcome=call.outcome,
-        mode=call.mode,
-        prompt_hash=call.prompt_hash,
-        calls=call.requests,
-        prompt_tokens=None if usage is None else usage.prompt_tokens,
-        completion_tokens=None if usage is None else usage.completion_tokens,
-        estimated=usage is not None and usage.estimated,
-        cost=call.cost,
-        latency_s=call.latency_s,
-        error=call.error,
-        reply=call.raw if replies else None,
     )

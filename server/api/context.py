@@ -19,10 +19,10 @@ from brink.server.dashboard.figures import Figures
 from brink.server.experiments.pairs import PairCache
 from brink.server.experiments.service import ExperimentService, ScoreCache
 from brink.server.findings.sources import Sources
-from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
 from brink.server.read_threads import ReadThreads
+from brink.server.seeding import SeedSource
 from brink.server.settings import Settings
 from brink.server.single_flight import SingleFlightCache
 
@@ -46,7 +46,7 @@ class Context(Sources):
     """Pictures of both sides of pairs."""
     experiment_pairs: PairCache
     films: Films
-    seeds: LlmSeeds
+    seeds: SeedSource
     metrics: Metrics
     figures: Figures
     drawing: ReadThreads

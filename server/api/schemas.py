@@ -206,46 +206,6 @@ class SolutionPage(View):
     next: Annotated[int | None, Field(description="Pass as `after` to get the next page.")]
 
 
-class LlmCall(View):
-    """A call to a language model: one prompt, with all HTTP requests that it took."""
-
-    request: Annotated[int, Field(description="Number of the request for seeds.")]
-    turn: Annotated[int, Field(description="0 for the first prompt, 1 for the repair prompt.")]
-    outcome: Annotated[
-        str,
-        Field(
-            description="sent, ok, truncated, invalid, declined, refused, unavailable, over_budget or circuit_open."
-        ),
-    ]
-    mode: Annotated[str, Field(description="How structured output was requested.")]
-    prompt_hash: str
-    calls: Annotated[int, Field(description="HTTP requests sent, whatever became of them.")]
-    prompt_tokens: int | None
-    completion_tokens: int | None
-    estimated: Annotated[
-        bool, Field(description="Whether tokens are estimated because the endpoint reported none.")
-    ]
-    cost: Annotated[float | None, Field(description="Null if no prices are configured.")]
-    latency_s: float
-    error: Annotated[str | None, Field(description="What went wrong, in words; null if nothing did.")]
-    reply: Annotated[
-        str | None, Field(description="Raw body of the reply with the API key removed, if requested.")
-    ]
-
-
-class LlmCalls(View):
-    """Language-model calls of a campaign."""
-
-    calls: Annotated[list[LlmCall], Field(description="In the order in which they were made.")]
-    total_calls: Annotated[int, Field(description="HTTP requests sent, whatever became of them.")]
-    max_calls: Annotated[
-        int | None, Field(description="How many may be sent; null without a language model.")
-    ]
-    total_tokens: int
-    estimated_tokens: int
-    cost: Annotated[float | None, Field(description="Total cost; null if the cost of any call is unknown.")]
-
-
 class DistanceBlock(View):
     """A block of the distance matrix."""
 

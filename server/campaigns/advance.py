@@ -19,24 +19,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from sqlalchemy import Connection
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 
-from brink.search.algorithm import (
-    Candidate,
-    Evaluation,
-    Failed,
-    Measured,
-    Proposal,
-    Question,
-    Scored,
-    Seeded,
-    SeedRequest,
-)
+from brink.search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored, Seeded
 from brink.search.analysis.boundary import IndexArray, distinct_boundary, has_evidence
 from brink.search.archive import Archive
 from brink.search.document import Document
@@ -76,13 +66,13 @@ from brink.server.db.engine import Engines, read
 from brink.server.db.sql import storable
 from brink.server.db.writer import Writer, is_transient
 from brink.server.errors import Damaged, InvalidInput, Unavailable
-from brink.server.llm.settings import LlmSettings
 from brink.server.metrics import Metrics
 from brink.server.problems.base import InProcessProblem, Problem, SimulatedProblem
 from brink.server.problems.catalogue import uses_user_code
 from brink.server.queue import job_store
 from brink.server.queue.job_store import JobOutcome, first_line
 from brink.server.queue.wakeups import Wakeups
+from brink.server.seeding import SeedSource
 from brink.server.states import CampaignStatus, JobKind, JobStatus, SolutionVerdict
 from brink.server.user_code import USER_CODE, CodeStalled
 from brink.worker.wire import Completed
@@ -97,25 +87,6 @@ PLUGIN_STEPS_AT_ONCE: Final = 16
 KNOWN_CAMPAIGNS: Final = 10_000
 
 log = logging.getLogger(__name__)
-
-
-class SeedSource(Protocol):
-    """Provides seeds for algorithms that wait for them: always the same for the same request of a campaign."""
-
-    def proposals(
-        self, campaign_id: str, settings: LlmSettings | None, problem: Problem, request: SeedRequest
-    ) -> Sequence[Proposal] | None:
-        """Return the seeds, possibly none at all, or None while they are still being generated.
-
-        The first call starts the request, which may take minutes. The campaign is advanced when the seeds arrive.
-
-        Args:
-            campaign_id: The campaign.
-            settings: Its language model.
-            problem: Its problem.
-            request: What the algorithm asks for.
-        """
-        ...
 
 
 class _MovedOn(Exception):

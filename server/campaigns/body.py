@@ -6,7 +6,7 @@ Tags and notes belong to people: they may change at any time, so they are not pa
 import unicodedata
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final, Self
+from typing import TYPE_CHECKING, Annotated, Any, Final, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -19,7 +19,7 @@ from brink.server.documents import (
     read_yaml,
 )
 from brink.server.errors import InvalidInput
-from brink.server.llm.settings import LlmSettings
+from brink.server.seeding import SeederSettings, seeder
 from brink.worker.wire import JsonValues, Number
 
 LONGEST_NAME = 200
@@ -83,6 +83,16 @@ MOST_KNOWN = 5_000
 """Maximum number of results that a campaign starts from; limited because every checkpoint contains them."""
 MOST_GIVEN = 1_000
 """Maximum number of solutions in a campaign's body."""
+
+
+if TYPE_CHECKING:
+    Seeding = SeederSettings
+else:
+    Seeding = seeder().settings_type
+
+SeederSection = Annotated[
+    Seeding | None, Field(description="Language model for algorithms that request seeds.")
+]
 
 
 class PluginChoice(Body):
@@ -221,9 +231,7 @@ class CampaignBody(Body):
         bool,
         Field(description="Whether to simulate with ground truth in place of the machine-learned component."),
     ] = False
-    llm: Annotated[
-        LlmSettings | None, Field(description="Language model for algorithms that request seeds.")
-    ] = None
+    llm: SeederSection = None
     start_from: Annotated[
         StartFrom | None, Field(description="Known solutions and results to start from.")
     ] = None

@@ -35,14 +35,7 @@ from brink.server.campaigns.memory import memory_of
 from brink.server.campaigns.step_store import PIECE, Asked, NewSolution, StoredArchive
 from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.errors import FieldError, InvalidInput
-from brink.server.llm.access import LlmAccess
-from brink.server.problems.base import (
-    InProcessProblem,
-    MeasuresOnData,
-    Problem,
-    SimulatedProblem,
-    SupportsSeeds,
-)
+from brink.server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
 from brink.server.problems.catalogue import (
     ALGORITHMS,
     algorithms_that,
@@ -53,6 +46,7 @@ from brink.server.problems.catalogue import (
     spelled_out,
 )
 from brink.server.queue.job_store import NewJob
+from brink.server.seeding import Access, seeder
 from brink.server.states import JobKind
 from brink.server.user_code import USER_CODE, guarded_like
 from brink.sim.catalogue import GROUPS, named_sources, with_sources
@@ -67,10 +61,6 @@ SIZE_GROWTH: Final = 1.25
 MOST_IN_FLIGHT: Final = 20_000
 """Maximum number of candidates that a submitted campaign may have in flight. A thousand workers that simulate eight
 each keep 8,000 in flight."""
-LLM_SEEDER = "llm"
-"""Value of the algorithm parameter `seeder` that requests seeds from a language model."""
-NO_ACCESS: Final = LlmAccess()
-"""Access to language models on this machine alone, without a key."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -244,7 +234,7 @@ def make_checked_plan(body: CampaignBody) -> Plan:
             [FieldError(pointer=f"/problem/params/{name}", message=message) for name, message in wrong]
         )
     _check_criticality(plan)
-    _check_seeder(plan)
+    seeder().check(body.llm, plan.config, body.algorithm.id, plan.problem)
     if body.start_from is not None and not isinstance(plan.algorithm, WarmStarts):
         able = ", ".join(algorithms_that(WarmStarts))
         message = f"{body.algorithm.id} cannot start from known solutions; {able} can"
@@ -322,26 +312,6 @@ def _check_criticality(plan: Plan) -> None:
         raise InvalidInput.at(f"/problem/params/{name}", message)
 
 
-def _check_seeder(plan: Plan) -> None:
-    """Check that a language model is configured if and only if the algorithm requests seeds from one.
-
-    Raises:
-        InvalidInput: There is only one of the two, or the problem cannot be described to a language model.
-    """
-    uses_model = getattr(plan.config, "seeder", None) == LLM_SEEDER
-    if uses_model and plan.body.llm is None:
-        message = "expected a language model, such as {endpoint: http://127.0.0.1:8000/v1, model: ...}"
-        raise InvalidInput.at("/llm", message)
-    if plan.body.llm is not None and not uses_model:
-        message = (
-            f"{plan.body.algorithm.id} does not use a language model; expected algorithm.params.seeder: llm"
-        )
-        raise InvalidInput.at("/llm", message)
-    if uses_model and not isinstance(plan.problem, SupportsSeeds):
-        message = f"{plan.body.problem.id} cannot be described to a language model"
-        raise InvalidInput.at("/problem/id", message)
-
-
 def check_submission(body: CampaignBody, start: Start | None = None) -> tuple[LiveSearch, Asked]:
     """Check that a campaign can run, and return its search with the first piece of what it asks for.
 
@@ -370,21 +340,21 @@ def _begun(plan: Plan, body: CampaignBody, start: Start | None) -> tuple[LiveSea
 
 
 def prepare_campaign(
-    body: CampaignBody, start: Start | None = None, access: LlmAccess = NO_ACCESS, *, asks: bool = True
+    body: CampaignBody, start: Start | None = None, access: Access | None = None, *, asks: bool = True
 ) -> PreparedCampaign:
     """Check a campaign and start its search.
 
     Args:
         body: The campaign's body.
         start: What it starts from; None for nothing.
-        access: The language models and keys that campaigns may use.
+        access: What campaigns may call; None for this machine alone, without a key.
         asks: Whether to start the search now, and not with the campaign's first step. A search with large
             generations starts with that anyway, unless it starts from something: other submissions wait for this one.
 
     Raises:
         InvalidInput: With a pointer to each invalid field.
     """
-    access.check(body.llm)
+    (access or seeder().access("")).check(body.llm)
     plan = make_checked_plan(body)
     first = None
     if asks and (start is not None or not _is_large(plan)):

@@ -39,9 +39,9 @@ from brink.server.db.engine import Engines, read
 from brink.server.db.sql import DocumentTable
 from brink.server.db.writer import Writer
 from brink.server.errors import Conflict
-from brink.server.llm.access import LlmAccess
 from brink.server.queue.job_store import count_unfinished, idle_campaigns
 from brink.server.queue.wakeups import Wakeups
+from brink.server.seeding import Access
 from brink.server.states import CampaignStatus, JobStatus
 
 log = logging.getLogger(__name__)
@@ -234,14 +234,14 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
     """The campaigns of one coordinator process.
 
     Attributes:
-        access: The language models and keys that campaigns may use.
+        access: What campaigns may call.
     """
 
     table: DocumentTable[Campaign] = CAMPAIGNS
     checks: CheckThreads = field(default_factory=CheckThreads)
     scheduler: Scheduler
     wakeups: Wakeups
-    access: LlmAccess
+    access: Access
 
     def close(self) -> None:
         """Finish the running checks, and start no more."""

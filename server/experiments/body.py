@@ -16,6 +16,7 @@ from brink.server.campaigns.body import (
     CampaignBody,
     Execution,
     PluginChoice,
+    SeederSection,
 )
 from brink.server.documents import (
     Body,
@@ -26,7 +27,6 @@ from brink.server.documents import (
     read_yaml,
 )
 from brink.server.errors import FieldError, InvalidInput
-from brink.server.llm.settings import LlmSettings
 
 MAX_CAMPAIGNS = 500
 """Maximum for one experiment: all of its campaigns are checked and stored at once."""
@@ -49,9 +49,7 @@ class Choice(PluginChoice):
 class Method(Choice):
     """An algorithm to compare."""
 
-    llm: Annotated[
-        LlmSettings | None, Field(description="Language model for algorithms that request seeds.")
-    ] = None
+    llm: SeederSection = None
 
 
 class PairsChoice(Body):

@@ -9,14 +9,14 @@ imported, and again for every request: `LlmClient` gets keys from here alone.
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, Self
 
 from pydantic import SecretStr
 
 from brink.server.errors import InvalidInput
-from brink.server.llm.protocol import KeyMissing, NotAllowed
+from brink.server.llm.protocol import NotSent
 from brink.server.llm.settings import ENV_NAME, LlmSettings
 
 VARIABLE: Final = "BRINK_LLM_ENDPOINTS"
@@ -86,34 +86,23 @@ class LlmAccess:
         """Return the key to send with a request; None if the settings name none.
 
         Raises:
-            NotAllowed: The endpoint may not be used, or not with this key.
-            KeyMissing: The environment variable is not set, or does not contain a valid key.
+            NotSent: The endpoint may not be used, or not with this key, or the variable holds no valid key.
         """
         if (refusal := self.refusal(settings)) is not None:
-            raise NotAllowed(refusal[1])
+            raise NotSent(refusal[1])
         name = settings.api_key_env
         if name is None:
             return None
         key = self.environ.get(name, "").strip()
         if not key:
-            raise KeyMissing(
+            raise NotSent(
                 f"the environment variable {name} is not set: export it before the coordinator starts"
             )
         if not all("!" <= letter <= "~" for letter in key):
-            raise KeyMissing(
+            raise NotSent(
                 f"the environment variable {name} holds no key: expected printable ASCII, no spaces"
             )
         return SecretStr(key)
-
-
-def with_endpoints(allowed: str, models: Iterable[LlmSettings | None]) -> str:
-    """Return a value of the setting that also allows the endpoints of some language models, without a key.
-
-    Args:
-        allowed: A value of the setting.
-        models: Those of a file that its user runs on this machine; None for none.
-    """
-    return ",".join(filter(None, [allowed, *(model.endpoint for model in models if model is not None)]))
 
 
 def _entries(text: str) -> Iterator[_Allowed]:

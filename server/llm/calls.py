@@ -5,20 +5,40 @@ is checked before each request, with the most that the request may use. Unless b
 not 0. Usage that the endpoint does not report counts as the worst case and is marked as an estimate.
 """
 
+import logging
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from datetime import datetime
-from enum import StrEnum
-from typing import Final, Protocol
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime, timedelta
+from typing import Any, Final, Protocol
 
-from brink.server.llm.protocol import Messages, Mode, OverBudget, Usage, canonical
+from sqlalchemy import Connection, delete, insert, select
+
+from brink.server.db.engine import Engines
+from brink.server.db.models import LlmCallRow, SeedClaimRow
+from brink.server.db.sql import database_now, lock_campaign
+from brink.server.db.writer import Writer
+from brink.server.errors import Unavailable
+from brink.server.llm.protocol import Messages, OverBudget, Usage, canonical
 from brink.server.llm.settings import LlmSettings
+from brink.server.seeding import LlmCall, Outcome, Spent
 
 CHARS_PER_TOKEN: Final = 3.5
 """For JSON and English; low for the tokenizers in use, so that token counts are overestimated."""
+FAILED_CALLS: Final = 2
+"""The circuit breaker opens after this many failed calls in a row."""
+FIRST_COOL_DOWN_S: Final = 60.0
+LONGEST_COOL_DOWN_S: Final = 3600.0
+"""How long it stays open: doubled after each failed trial, from the first to the longest."""
+RETRY_S: Final = 2.0
+GIVE_UP_S: Final = 600.0
+"""How long to keep trying to store a reply that was paid for while the database is not writable."""
+_FAILED: Final = frozenset({Outcome.INVALID, Outcome.DECLINED, Outcome.REFUSED, Outcome.UNAVAILABLE})
+_USABLE: Final = frozenset({Outcome.OK, Outcome.TRUNCATED})
 
-_MILLION: Final = 1_000_000
+log = logging.getLogger(__name__)
 
 
 def tokens_of(chars: int) -> int:
@@ -36,190 +56,56 @@ def cost_of(usage: Usage, settings: LlmSettings) -> float | None:
     """Return the cost of tokens, or None if a price is unknown."""
     if settings.input_price is None or settings.output_price is None:
         return None
-    return (
-        usage.prompt_tokens * settings.input_price + usage.completion_tokens * settings.output_price
-    ) / _MILLION
+    cost = usage.prompt_tokens * settings.input_price + usage.completion_tokens * settings.output_price
+    return cost / 1_000_000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Spent:
-    """What a campaign's calls have used so far.
+def using(call: LlmCall, settings: LlmSettings, requests: int, *usages: Usage) -> LlmCall:
+    """Return a call after some more requests.
 
-    Attributes:
-        requests: HTTP requests sent, whatever became of them.
-        tokens: Tokens of prompts and replies.
-        estimated_tokens: Those of them that the endpoint did not report.
-        priced: Total cost of the requests whose cost is known.
-        unpriced: Number of requests whose cost is unknown.
+    Args:
+        call: The call.
+        settings: The prices.
+        requests: Number of requests.
+        usages: Tokens that some of them used.
     """
+    if call.prompt_tokens is not None and call.completion_tokens is not None:
+        usages += (Usage(call.prompt_tokens, call.completion_tokens, call.estimated),)
+    used: dict[str, Any] = {"calls": call.calls + requests}
+    if usages:
+        usage = sum(usages[1:], usages[0])
+        used |= {**asdict(usage), "cost": cost_of(usage, settings)}
+    return call.model_copy(update=used)
 
-    requests: int = 0
-    tokens: int = 0
-    estimated_tokens: int = 0
-    priced: float = 0.0
-    unpriced: int = 0
 
-    @property
-    def cost(self) -> float | None:
-        """The total cost, or None if it is unknown."""
-        return None if self.unpriced else self.priced
+def check_budget(spent: Spent, settings: LlmSettings, messages: Messages) -> None:
+    """Check that the budget allows another request, even in the worst case.
 
-    def plus(self, requests: int, usage: Usage | None, cost: float | None) -> "Spent":
-        """Return the total after some more requests.
+    Args:
+        spent: What the campaign's calls have used.
+        settings: The limits and prices.
+        messages: The prompt of the request.
 
-        Args:
-            requests: Number of requests.
-            usage: Their tokens; None if there are none.
-            cost: Their cost; None if it is unknown.
-        """
-        tokens = usage.total if usage is not None else 0
-        estimated = usage is not None and usage.estimated
-        return Spent(
-            requests=self.requests + requests,
-            tokens=self.tokens + tokens,
-            estimated_tokens=self.estimated_tokens + (tokens if estimated else 0),
-            priced=self.priced + (cost or 0.0),
-            unpriced=self.unpriced + (requests if cost is None else 0),
+    Raises:
+        OverBudget: It does not; the message names the limit.
+    """
+    if spent.total_calls >= settings.max_calls:
+        raise OverBudget(f"all {settings.max_calls} requests of max_calls are used up")
+    worst = worst_usage(settings, messages)
+    allowed, tokens = settings.max_total_tokens, spent.total_tokens
+    if allowed is not None and tokens + worst.total > allowed:
+        raise OverBudget(
+            f"the next request may take {worst.total} tokens, and {tokens} of {allowed} (max_total_tokens) are spent"
         )
-
-    def check_budget(self, settings: LlmSettings, messages: Messages) -> None:
-        """Check that the budget allows another request, even in the worst case.
-
-        Args:
-            settings: The limits and prices.
-            messages: The prompt of the request.
-
-        Raises:
-            OverBudget: It does not; the message names the limit.
-        """
-        if self.requests >= settings.max_calls:
-            raise OverBudget(f"all {settings.max_calls} requests of max_calls are used up")
-        worst = worst_usage(settings, messages)
-        allowed = settings.max_total_tokens
-        if allowed is not None and self.tokens + worst.total > allowed:
-            raise OverBudget(
-                f"the next request may take {worst.total} tokens, and {self.tokens} of {allowed} (max_total_tokens) "
-                "are spent"
-            )
-        if settings.max_cost is None:
-            return
-        cost, next_cost = self.cost, cost_of(worst, settings)
-        if cost is None or next_cost is None:
-            raise OverBudget(
-                f"the cost of {self.unpriced} requests is unknown, so max_cost cannot be enforced"
-            )
-        if cost + next_cost > settings.max_cost:
-            raise OverBudget(
-                f"the next request may cost {next_cost:.4g}, and {cost:.4g} of {settings.max_cost:g} (max_cost) is "
-                "spent"
-            )
-
-
-class Outcome(StrEnum):
-    """The outcome of a call.
-
-    Attributes:
-        SENT: In progress. After a restart, this means that the reply was lost, although it may be billed.
-        OK: Some of the reply is usable.
-        TRUNCATED: The reply reached the token limit; its complete solutions are used, and there are some.
-        INVALID: None of the reply is usable.
-        DECLINED: The model or a content filter declined to answer.
-        REFUSED: The endpoint rejected the request permanently, or there is no key.
-        UNAVAILABLE: No try got a reply.
-        OVER_BUDGET: Not sent, or not sent again after a coordinator stopped, because a budget does not allow it.
-        CIRCUIT_OPEN: Not sent, because the last calls failed (`Breaker`).
-    """
-
-    SENT = "sent"
-    OK = "ok"
-    TRUNCATED = "truncated"
-    INVALID = "invalid"
-    DECLINED = "declined"
-    REFUSED = "refused"
-    UNAVAILABLE = "unavailable"
-    OVER_BUDGET = "over_budget"
-    CIRCUIT_OPEN = "circuit_open"
-
-
-@dataclass(frozen=True, slots=True, order=True)
-class CallKey:
-    """Identifies a call of a campaign.
-
-    Attributes:
-        request: Number of the request for seeds.
-        turn: 0 for the question, 1 for the repair turn.
-    """
-
-    request: int
-    turn: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StoredCall:
-    """A call and its outcome.
-
-    Attributes:
-        key: Identifies the call.
-        prompt_hash: Hash of its messages.
-        mode: How the form of the reply was specified.
-        raw: Body of the reply, without the API key; None if there is none.
-        outcome: The outcome.
-        requests: HTTP requests sent, whatever became of them; they count against ``max_calls``.
-        usage: Tokens of those that the endpoint processed or may have processed; None if there are none.
-        cost: Cost of these tokens; None if it is unknown.
-        latency_s: Duration of the successful request; without a reply, time until the call was given up.
-        error: What went wrong, in words; None if nothing did.
-        stored_at: When it was stored, by the clock of the database; None until then.
-    """
-
-    key: CallKey
-    prompt_hash: str
-    mode: Mode
-    raw: str | None = field(repr=False)
-    outcome: Outcome
-    requests: int
-    usage: Usage | None
-    cost: float | None
-    latency_s: float
-    error: str | None
-    stored_at: datetime | None = field(default=None, compare=False)
-
-
-class CallLog(Protocol):
-    """Stores the calls of one campaign."""
-
-    def find(self, key: CallKey) -> StoredCall | None:
-        """Return a call, or None if it was never made."""
-        ...
-
-    def store(self, call: StoredCall) -> None:
-        """Store a call durably, replacing the same call if its outcome was SENT."""
-        ...
-
-    def spent(self) -> Spent:
-        """Return the totals of all stored calls."""
-        ...
-
-    def breaker(self) -> "Breaker":
-        """Return the circuit breaker after all stored calls."""
-        ...
-
-
-def spent_on(calls: Iterable[StoredCall]) -> Spent:
-    """Return the totals of calls."""
-    spent = Spent()
-    for call in calls:
-        spent = spent.plus(call.requests, call.usage, call.cost)
-    return spent
-
-
-FAILED_CALLS: Final = 2
-"""The circuit breaker opens after this many failed calls in a row."""
-FIRST_COOL_DOWN_S: Final = 60.0
-LONGEST_COOL_DOWN_S: Final = 3600.0
-"""How long it stays open: doubled after each failed trial, from the first to the longest."""
-_FAILED: Final = frozenset({Outcome.INVALID, Outcome.DECLINED, Outcome.REFUSED, Outcome.UNAVAILABLE})
-_USABLE: Final = frozenset({Outcome.OK, Outcome.TRUNCATED})
+    most, cost, next_cost = settings.max_cost, spent.cost, cost_of(worst, settings)
+    if most is None:
+        return
+    if cost is None or next_cost is None:
+        raise OverBudget("the cost of earlier requests is unknown, so max_cost cannot be enforced")
+    if cost + next_cost > most:
+        raise OverBudget(
+            f"the next request may cost {next_cost:.4g}, and {cost:.4g} of {most:g} (max_cost) is spent"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -250,14 +136,14 @@ class Breaker:
         )
 
 
-def breaker_after(calls: Sequence[StoredCall], now: datetime) -> Breaker:
+def breaker_after(calls: Sequence[LlmCall], now: datetime) -> Breaker:
     """Return the circuit breaker of a campaign.
 
     Args:
         calls: Its stored calls, in order.
         now: The time by the clock that dated the calls.
     """
-    failed: list[StoredCall] = []
+    failed: list[LlmCall] = []
     for call in calls:  # those that were not made, or are in progress, say nothing about the endpoint
         if call.outcome in _USABLE:
             failed = []
@@ -267,7 +153,134 @@ def breaker_after(calls: Sequence[StoredCall], now: datetime) -> Breaker:
         return Breaker()
     last, beyond = failed[-1], len(failed) - FAILED_CALLS
     cools_s = 0.0
-    if beyond >= 0 and last.stored_at is not None:
+    if beyond >= 0 and last.called_at is not None:
         cool_down_s = min(LONGEST_COOL_DOWN_S, FIRST_COOL_DOWN_S * 2.0 ** min(beyond, 32))
-        cools_s = min(cool_down_s, max(0.0, cool_down_s - (now - last.stored_at).total_seconds()))
+        cools_s = min(cool_down_s, max(0.0, cool_down_s - (now - last.called_at).total_seconds()))
     return Breaker(failed=len(failed), error=last.error or last.outcome, cools_s=cools_s)
+
+
+class CallLog(Protocol):
+    """Stores the calls of one campaign."""
+
+    def read(self) -> tuple[list[LlmCall], datetime]:
+        """Return all calls in order, and the current time by the clock that dates them."""
+        ...
+
+    def store(self, call: LlmCall) -> None:
+        """Store a call durably, replacing the same call if its outcome was SENT."""
+        ...
+
+
+class CampaignCalls:
+    """The calls of one campaign in the database; implements `CallLog`.
+
+    Args:
+        engines: For reading.
+        writer: For writing.
+        campaign_id: The campaign.
+        stopping: Set when the coordinator stops; writes are then no longer retried.
+    """
+
+    def __init__(self, engines: Engines, writer: Writer, campaign_id: str, stopping: threading.Event) -> None:
+        self._engines = engines
+        self._writer = writer
+        self._campaign_id = campaign_id
+        self._stopping = stopping
+
+    def read(self) -> tuple[list[LlmCall], datetime]:
+        """Return all calls in order, and the current time by the clock of the database."""
+        with self._engines.reader.connect() as connection:
+            return list_calls(connection, self._campaign_id), database_now(connection)
+
+    def store(self, call: LlmCall) -> None:
+        """Store a call durably, retrying while the database is not writable, because it has been paid for.
+
+        Raises:
+            Unavailable: The database was not writable for `GIVE_UP_S`, or until the coordinator stopped.
+        """
+        deadline = time.monotonic() + GIVE_UP_S
+        while True:
+            try:
+                self._writer.submit(
+                    lambda connection: insert_call(connection, self._campaign_id, call)
+                ).result()
+            except Unavailable as error:
+                about = {"campaign": self._campaign_id}
+                log.warning("a model's answer cannot be stored yet: %s", error, extra=about)
+                if time.monotonic() > deadline or self._stopping.wait(RETRY_S):
+                    raise
+            else:
+                return
+
+
+def list_calls(connection: Connection, campaign_id: str) -> list[LlmCall]:
+    """Return the calls of a campaign in order."""
+    query = (
+        select(LlmCallRow.__table__)
+        .where(LlmCallRow.campaign_id == campaign_id)
+        .order_by(LlmCallRow.request, LlmCallRow.turn)
+    )
+    return [LlmCall.model_validate(dict(row)) for row in connection.execute(query).mappings()]
+
+
+def insert_call(connection: Connection, campaign_id: str, call: LlmCall) -> None:
+    """Store a call, replacing the row that was stored while it was in progress.
+
+    Args:
+        connection: In a write transaction.
+        campaign_id: The campaign.
+        call: The call.
+    """
+    connection.execute(
+        delete(LlmCallRow).where(
+            LlmCallRow.campaign_id == campaign_id,
+            LlmCallRow.request == call.request,
+            LlmCallRow.turn == call.turn,
+            LlmCallRow.outcome == Outcome.SENT,
+        )
+    )
+    row = {**call.model_dump(), "campaign_id": campaign_id, "called_at": database_now(connection)}
+    connection.execute(insert(LlmCallRow).values(row))
+
+
+def claim(connection: Connection, campaign_id: str, owner: str, hold_s: float) -> bool:
+    """Claim or keep the exclusive right to request a campaign's seeds.
+
+    Args:
+        connection: In a write transaction.
+        campaign_id: The campaign.
+        owner: Random id of the coordinator.
+        hold_s: Time until the claim expires.
+
+    Returns:
+        Whether the owner holds the claim.
+    """
+    # Lock the campaign's row: a claim that does not exist yet cannot be locked, and two could be inserted.
+    if not lock_campaign(connection, campaign_id):
+        return False
+    now = database_now(connection)
+    mine = SeedClaimRow.campaign_id == campaign_id
+    held = connection.execute(select(SeedClaimRow.__table__).where(mine)).one_or_none()
+    if held is not None and held.owner != owner and held.expires_at > now:
+        return False
+    connection.execute(delete(SeedClaimRow).where(mine))
+    connection.execute(
+        insert(SeedClaimRow).values(
+            campaign_id=campaign_id, owner=owner, expires_at=now + timedelta(seconds=hold_s)
+        )
+    )
+    return True
+
+
+def release(connection: Connection, owner: str, campaign_id: str | None = None) -> None:
+    """Release claims.
+
+    Args:
+        connection: In a write transaction.
+        owner: Random id of the coordinator.
+        campaign_id: The campaign; None for all claims of the owner.
+    """
+    claims = delete(SeedClaimRow).where(SeedClaimRow.owner == owner)
+    connection.execute(
+        claims if campaign_id is None else claims.where(SeedClaimRow.campaign_id == campaign_id)
+    )

@@ -5,13 +5,11 @@ The key is never stored, never sent along a redirect, and removed from everythin
 """
 
 import asyncio
-import itertools
-import json
 import logging
 import math
 import time
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from random import Random
 from types import TracebackType
@@ -26,7 +24,6 @@ from brink.server.llm.protocol import (
     JsonObject,
     LlmError,
     Messages,
-    Mode,
     OverBudget,
     Reply,
     UnusableReply,
@@ -39,6 +36,7 @@ from brink.server.llm.protocol import (
     sanitize,
 )
 from brink.server.llm.settings import LlmSettings
+from brink.server.seeding import Mode
 from brink.worker.backoff import Backoff
 
 MAX_REPLY_BYTES: Final = 4 * 1024 * 1024
@@ -52,16 +50,18 @@ _LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Completion(Reply):
+class Completion:
     """A reply, and how it was obtained.
 
     Attributes:
+        reply: The reply.
         latency_s: Time from sending the successful request to the end of its response.
         mode: How the form of the reply was specified.
         effort: The requests sent, including those that were rejected or lost.
         raw: The body, without the key.
     """
 
+    reply: Reply
     latency_s: float
     mode: Mode
     effort: Effort
@@ -76,14 +76,6 @@ class _Answer:
     headers: httpx.Headers
     raw: str
     latency_s: float
-
-
-class _FormRefused(Exception):
-    """The endpoint rejects the requested form of the reply."""
-
-    def __init__(self, error: LlmError) -> None:
-        super().__init__(str(error))
-        self.error = error
 
 
 BeforeRequest = Callable[[Effort], None]
@@ -109,6 +101,12 @@ class _Call:
     deadline_s: float
     before_request: BeforeRequest
     effort: Effort = field(default_factory=Effort)
+
+
+def looser(mode: Mode) -> Mode:
+    """Return the next mode to try after a mode other than the last."""
+    modes = list(Mode)
+    return modes[modes.index(mode) + 1]
 
 
 class LlmClient:
@@ -196,8 +194,8 @@ class LlmClient:
 
         Raises:
             EndpointUnavailable: A try failed, and no other is left or allowed; the message says why.
-            LlmFinal: Repeating the call would fail again; the subclass gives the reason.
             OverBudget: Raised by ``before_request``, or too little time is left, before any try failed.
+            LlmError: Repeating the call would fail again; the subclass gives the reason.
         """
         self._access.key(self.settings)
         began = self.clock()
@@ -217,84 +215,92 @@ class LlmClient:
         """Return the models that the endpoint lists, or None if it has no list.
 
         Raises:
-            EndpointUnavailable: It does not respond.
-            LlmFinal: It rejects the request.
+            LlmError: It does not respond, or rejects the request.
         """
         answer = await self._exchange("GET", "/models", None, self.settings.timeout_s)
         if answer.status in (404, 405, 501):
             return None
-        if not httpx.codes.is_success(answer.status):
-            raise self._error(answer)
-        return parse_models(answer.raw)
+        return parse_models(self._successful(answer).raw)
 
     async def _complete(
         self, messages: Messages, schema: JsonObject, only: Mode | None, call: _Call
     ) -> Completion:
-        mode = only or self._mode
+        """Send a request until it succeeds or fails for good, with looser forms where one is rejected."""
+        effort, mode, failures, detail = call.effort, only or self._mode, 0, ""
         while True:
+            limit_s = self._time_for_a_try(call, detail)
             body = request_body(self.settings, messages, mode, schema)
-            try:
-                answer = await self._retry(body, mode, call)
-            except _FormRefused as refused:
-                looser = mode.looser if only is None else None
-                if looser is None:
-                    raise refused.error from None
-                call.effort.failures.append(f"{mode} refused")
-                _LOG.info("%s does not accept %s; trying %s", self.settings.endpoint, mode, looser)
-                mode = looser
-                continue
-            try:
-                reply = read_reply(answer.raw)
-            except UnusableReply:
-                call.effort.lost += 1
-                raise
-            if only is None:
-                self._mode, self._proven = mode, True
-            return Completion(
-                **{one.name: getattr(reply, one.name) for one in fields(reply)},
-                latency_s=answer.latency_s,
-                mode=mode,
-                effort=call.effort,
-                raw=answer.raw,
-            )
-
-    async def _retry(self, body: JsonObject, mode: Mode, call: _Call) -> _Answer:
-        """Send a request until it succeeds or fails for good."""
-        effort, detail = call.effort, ""
-        for failures in itertools.count(1):
-            try:
-                limit_s = self._time_for_a_try(call)
-                call.before_request(effort)
-            except OverBudget as error:
-                if not effort.failures:
-                    raise
-                raise self._gave_up(effort, detail, f"no other try: {error}") from error
             effort.requests += 1
             try:
-                return await self._attempt(body, mode, effort, limit_s)
+                answer = await self._exchange("POST", "/chat/completions", body, limit_s)
+                if only is None and self._rejects(mode, answer):
+                    effort.failures.append(f"{mode} refused")
+                    mode, failures, detail = looser(mode), 0, ""
+                    _LOG.info("%s does not accept this form; trying %s", self.settings.endpoint, mode)
+                    continue
+                reply = read_reply(self._successful(answer).raw)
             except EndpointUnavailable as error:
+                effort.lost += error.lost
                 effort.failures.append(error.what)
-                detail = error.detail
+                failures, detail = failures + 1, error.detail
                 pause_s = self._pause_after(error, failures, call)
                 _LOG.info("language model: %s; trying again in %.1f s", error, pause_s)
+            except LlmError as error:
+                effort.lost += error.lost
+                raise
+            else:
+                if only is None:
+                    self._mode, self._proven = mode, True
+                return Completion(
+                    reply=reply, latency_s=answer.latency_s, mode=mode, effort=effort, raw=answer.raw
+                )
             await self._pause(pause_s)
-        raise AssertionError("unreachable: the count does not end")
+
+    def _rejects(self, mode: Mode, answer: _Answer) -> bool:
+        """Return whether the endpoint rejects the requested form of the reply."""
+        if mode is Mode.PLAIN or httpx.codes.is_success(answer.status):
+            return False
+        return rejects_form(answer.status, answer.raw, proven=self._proven and mode is self._mode)
+
+    def _successful(self, answer: _Answer) -> _Answer:
+        """Return an answer if it is successful.
+
+        Raises:
+            LlmError: It is not.
+        """
+        if httpx.codes.is_success(answer.status):
+            return answer
+        raise error_from(answer.status, answer.headers, answer.raw, self.settings, self._now())
 
     def _gave_up(self, effort: Effort, detail: str, reason: str) -> EndpointUnavailable:
         """Return the error of a call that is given up after failed tries."""
         what = f"{effort.words}: {detail}" if detail else effort.words
         return EndpointUnavailable(self.settings.endpoint, f"{what}; {reason}" if reason else what)
 
-    def _time_for_a_try(self, call: _Call) -> float:
+    def _time_for_a_try(self, call: _Call, detail: str) -> float:
         """Return the maximum duration of the next try, in seconds.
 
+        Args:
+            call: The call.
+            detail: What the endpoint said about the last try.
+
         Raises:
-            OverBudget: Too little time is left for a try that could succeed.
+            OverBudget: The budget, or the time left, does not allow any try.
+            EndpointUnavailable: It allows no other try.
         """
         left_s = call.deadline_s - self.clock()
+        try:
+            self._check_time(left_s)
+            call.before_request(call.effort)
+        except OverBudget as error:
+            if not call.effort.failures:
+                raise
+            raise self._gave_up(call.effort, detail, f"no other try: {error}") from error
+        return min(self.settings.timeout_s, left_s)
+
+    def _check_time(self, left_s: float) -> None:
         if left_s < self._shortest_try_s:
             raise OverBudget(self._time_is_up)
-        return min(self.settings.timeout_s, left_s)
 
     @property
     def _shortest_try_s(self) -> float:
@@ -325,26 +331,6 @@ class LlmClient:
             return pause_s
         raise self._gave_up(call.effort, error.detail, reason) from error
 
-    async def _attempt(self, body: JsonObject, mode: Mode, effort: Effort, limit_s: float) -> _Answer:
-        try:
-            answer = await self._exchange("POST", "/chat/completions", body, limit_s)
-        except EndpointUnavailable as unavailable:
-            effort.lost += unavailable.lost
-            raise
-        except UnusableReply:
-            effort.lost += 1
-            raise
-        if httpx.codes.is_success(answer.status):
-            return answer
-        error = self._error(answer)
-        proven = self._proven and mode is self._mode
-        if mode is not Mode.PLAIN and rejects_form(answer.status, answer.raw, proven=proven):
-            raise _FormRefused(error)
-        raise error
-
-    def _error(self, answer: _Answer) -> LlmError:
-        return error_from(answer.status, answer.headers, answer.raw, self.settings, self._now())
-
     async def _exchange(self, method: str, path: str, body: JsonObject | None, limit_s: float) -> _Answer:
         """Send one request and read the response, within the limits of time and size."""
         settings = self.settings
@@ -352,19 +338,11 @@ class LlmClient:
         secret = key.get_secret_value() if key is not None else ""
         headers = {"Authorization": f"Bearer {secret}"} if secret else {}
         secrets = [secret] if len(secret) >= MIN_SECRET_CHARS else []
-        content = None
-        if body is not None:
-            headers["Content-Type"] = "application/json"
-            content = json.dumps(body).encode()
-        request = self._http.build_request(method, settings.endpoint + path, content=content, headers=headers)
+        sending = self._http.stream(method, settings.endpoint + path, json=body, headers=headers)
         began = self.clock()
         try:
-            async with asyncio.timeout(limit_s):
-                response = await self._http.send(request, stream=True)
-                try:
-                    raw = sanitize(await _bounded_body(response), secrets)
-                finally:
-                    await response.aclose()
+            async with asyncio.timeout(limit_s), sending as response:
+                raw = sanitize(await _bounded_body(response), secrets)
         except (TimeoutError, httpx.TimeoutException) as error:
             lost = not isinstance(error, httpx.ConnectTimeout | httpx.PoolTimeout)
             waited_s = limit_s if lost else min(CONNECT_TIMEOUT_S, limit_s)

@@ -11,18 +11,10 @@ from brink.server.llm.access import LlmAccess
 from brink.server.llm.calls import cost_of, tokens_of, worst_usage
 from brink.server.llm.client import LlmClient
 from brink.server.llm.prompts import example, question
-from brink.server.llm.protocol import (
-    AccessRefused,
-    EndpointUnavailable,
-    KeyMissing,
-    LlmError,
-    Messages,
-    Mode,
-    NotAllowed,
-    Usage,
-)
+from brink.server.llm.protocol import AccessRefused, EndpointUnavailable, LlmError, Messages, NotSent, Usage
 from brink.server.llm.replies import SCHEMA, RoadChecker, parse, pointed, to_text
 from brink.server.llm.settings import LlmSettings
+from brink.server.seeding import Mode
 
 _PARTICIPANTS: Final = 2
 _SYSTEM: Final = "an automated car on a road in a town"
@@ -94,7 +86,7 @@ async def check_endpoint(
     async with LlmClient(once, access=access, transport=transport) as client:
         try:
             models = await client.models()
-        except (EndpointUnavailable, KeyMissing, NotAllowed) as error:
+        except (EndpointUnavailable, NotSent) as error:
             return EndpointReport(reachable=False, trouble=str(error))
         except AccessRefused as error:
             return EndpointReport(reachable=True, trouble=str(error))
@@ -112,13 +104,13 @@ async def _try_mode(client: LlmClient, messages: Messages, mode: Mode, road: Roa
         completion = await client.complete(messages, SCHEMA, mode=mode)
     except LlmError as error:
         return ModeReport(mode=mode, accepted=False, trouble=str(error))
-    parsed = parse(completion.text, road, wanted=1)
+    parsed = parse(completion.reply.text, road, wanted=1)
     return ModeReport(
         mode=mode,
         accepted=True,
         usable=bool(parsed.solutions),
-        usage_stated=completion.usage is not None,
-        finish_reason=completion.finish_reason,
+        usage_stated=completion.reply.usage is not None,
+        finish_reason=completion.reply.finish_reason,
         latency_s=completion.latency_s,
         trouble=None if parsed.solutions else "; ".join(map(pointed, parsed.errors[:3])),
     )
@@ -196,7 +188,7 @@ def estimate(
     calls = min(firsts + differential_calls, settings.max_calls)
     repairs = min(calls, settings.max_calls - calls)
     a_solution = tokens_of(len(to_text([one])))
-    usage = most_usage = Usage(prompt_tokens=0, completion_tokens=0, estimated=True)
+    usage = most_usage = Usage(estimated=True)
     for request, made, repaired in (
         (first, firsts, min(repairs, firsts)),
         (later, calls - firsts, max(repairs - firsts, 0)),

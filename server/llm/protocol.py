@@ -4,18 +4,14 @@ Servers differ: ``usage`` and ``finish_reason`` may be missing, content may be a
 come in a separate field. Everything here accepts arbitrary input. Error messages never contain the API key.
 
 ServerError
-├── LlmError                     no usable reply
-│   ├── EndpointUnavailable      retryable: no response, timeout, broken connection, 408, 409, 425, 429, 5xx
-│   └── LlmFinal                 repeating the call would fail again
-│       ├── NotAllowed           the operator allows neither the endpoint nor the key, or not the key
-│       ├── KeyMissing           the environment variable with the API key is not set
-│       ├── OverBudget           a budget, or the time for a request for seeds, does not allow another request
-│       ├── UnusableReply        2xx, but not a chat completion, or too large
-│       └── Refused              the endpoint rejected the request
-│           ├── AccessRefused    401, 402, 403, or a 429 that reports exhausted credit
-│           ├── ModelUnknown     404
-│           └── RequestRefused   any other 4xx, 501, a redirect
-└── CallLogMismatch              a stored call was made with a different prompt; never suppressed
+├── LlmError                  no usable reply
+│   ├── EndpointUnavailable   retryable: no response, timeout, broken connection, 408, 409, 425, 429, 5xx
+│   ├── OverBudget            a budget, or the time for a request for seeds, does not allow another request
+│   ├── UnusableReply         2xx, but not a chat completion, or too large
+│   └── Refused               the endpoint rejected the request: 4xx, 501, a redirect
+│       ├── AccessRefused     401, 402, 403, or a 429 that reports exhausted credit
+│       └── NotSent           the operator does not allow the endpoint or the key, or there is no key
+└── CallLogMismatch           a stored call was made with a different prompt; never suppressed
 """
 
 import hashlib
@@ -26,17 +22,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
-from enum import StrEnum
 from itertools import groupby
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, ClassVar, Final, Literal, TypeAlias
 
 from brink.server.errors import ServerError
 from brink.server.llm.settings import LlmSettings
+from brink.server.seeding import Mode, Outcome
 
 JsonObject: TypeAlias = Mapping[str, Any]
 
 _MAX_DIGITS: Final = 18
-_SCHEMA_NAME: Final = "solutions"
 _TRUNCATED: Final = frozenset({"length", "max_tokens", "model_length", "max_output_tokens"})
 _WITHHELD: Final = frozenset({"content_filter", "safety", "refusal", "recitation"})
 _MAX_TOKENS: Final = 10**9
@@ -82,8 +77,15 @@ class LlmError(ServerError):
     """No usable reply.
 
     Attributes:
-        effort: The requests that were made before it.
+        outcome: The outcome of the call.
+        lost: Whether the endpoint may have processed the last request and billed it.
+        raw: The reply; None if there is none, or if it was not read to its end.
+        effort: The requests that were made.
     """
+
+    outcome: ClassVar[Outcome] = Outcome.REFUSED
+    lost: bool = False
+    raw: str | None = None
 
     def __init__(self, message: str) -> None:
         super().__init__(message)
@@ -97,8 +99,9 @@ class EndpointUnavailable(LlmError):
         what: What happened, in a few words, such as ``HTTP 500``.
         detail: What the endpoint or the system says about it; may be empty.
         retry_after_s: Requested pause, or None.
-        lost: Whether the endpoint may have processed the request.
     """
+
+    outcome = Outcome.UNAVAILABLE
 
     def __init__(
         self,
@@ -116,48 +119,33 @@ class EndpointUnavailable(LlmError):
         self.lost = lost
 
 
-class LlmFinal(LlmError):
-    """Repeating the call would fail again."""
-
-
-class NotAllowed(LlmFinal):
-    """The operator of this coordinator does not allow the endpoint, or not with this key."""
-
-
-class KeyMissing(LlmFinal):
-    """The environment variable with the API key is not set or does not contain a key."""
-
-
-class OverBudget(LlmFinal):
+class OverBudget(LlmError):
     """A budget, or the time for a request for seeds, does not allow another request."""
 
+    outcome = Outcome.OVER_BUDGET
 
-class UnusableReply(LlmFinal):
-    """The reply is not a chat completion, or is too large.
 
-    Attributes:
-        raw: The reply; None if it was not read to its end.
-    """
+class UnusableReply(LlmError):
+    """The reply is not a chat completion, or is too large."""
+
+    outcome = Outcome.INVALID
+    lost = True
 
     def __init__(self, message: str, *, raw: str | None = None) -> None:
         super().__init__(message)
         self.raw = raw
 
 
-class Refused(LlmFinal):
-    """The endpoint rejected the request."""
+class Refused(LlmError):
+    """The endpoint rejected the request; repeating it would fail again."""
 
 
 class AccessRefused(Refused):
     """The key was rejected, or there is no credit left."""
 
 
-class ModelUnknown(Refused):
-    """The model or the path does not exist."""
-
-
-class RequestRefused(Refused):
-    """The endpoint does not accept the request in this form."""
+class NotSent(Refused):
+    """The operator does not allow the endpoint or the key, or the environment variable holds no key."""
 
 
 class CallLogMismatch(ServerError):
@@ -175,19 +163,6 @@ _DECODER: Final = json.JSONDecoder(
 )
 
 
-def decode_json(text: str) -> object:
-    """Decode untrusted JSON.
-
-    Raises:
-        BadJson: The text is not one JSON value.
-    """
-    stripped = text.strip()
-    value, end = decode_json_at(stripped, 0)
-    if end != len(stripped):
-        raise BadJson(f"expected the end of the text after character {end}")
-    return value
-
-
 def decode_json_at(text: str, start: int) -> tuple[object, int]:
     """Decode the untrusted JSON value that begins at an index; return the value and the index of its end.
 
@@ -196,37 +171,23 @@ def decode_json_at(text: str, start: int) -> tuple[object, int]:
     """
     try:
         return _DECODER.raw_decode(text, start)
-    except RecursionError:
-        raise BadJson("nested too deeply") from None
-    except ValueError as error:
-        raise BadJson(error.msg if isinstance(error, json.JSONDecodeError) else "malformed") from None
+    except (RecursionError, ValueError) as error:
+        raise BadJson(f"not JSON: {error}"[:_ERROR_CHARS]) from None
 
 
-def _decoded(text: str) -> object:
+def _decoded(text: str) -> Any:
     """Decode untrusted JSON; None if it is not one value."""
+    stripped = text.strip()
     try:
-        return decode_json(text)
+        value, end = decode_json_at(stripped, 0)
     except BadJson:
         return None
+    return value if end == len(stripped) else None
 
 
-class Mode(StrEnum):
-    """How a request specifies the form of the reply, strictest first.
-
-    llama-cpp-python and some hosted endpoints support ``SCHEMA_IN_OBJECT`` instead of ``JSON_SCHEMA``.
-    """
-
-    JSON_SCHEMA = "json_schema"
-    SCHEMA_IN_OBJECT = "schema_in_object"
-    JSON_OBJECT = "json_object"
-    PLAIN = "plain"
-
-    @property
-    def looser(self) -> "Mode | None":
-        """The next mode to try, or None after the last."""
-        modes = list(Mode)
-        place = modes.index(self) + 1
-        return modes[place] if place < len(modes) else None
+def _object(value: Any) -> dict[str, Any]:
+    """Return a decoded value if it is an object, and an empty one if it is not."""
+    return value if isinstance(value, dict) else {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +201,7 @@ class Message:
 Messages: TypeAlias = tuple[Message, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Usage:
     """Tokens used.
 
@@ -250,8 +211,8 @@ class Usage:
         estimated: Whether any of them is an estimate because the endpoint did not report it.
     """
 
-    prompt_tokens: int
-    completion_tokens: int
+    prompt_tokens: int = 0
+    completion_tokens: int = 0
     estimated: bool = False
 
     @property
@@ -261,17 +222,13 @@ class Usage:
 
     def __add__(self, other: "Usage") -> "Usage":
         return Usage(
-            prompt_tokens=self.prompt_tokens + other.prompt_tokens,
-            completion_tokens=self.completion_tokens + other.completion_tokens,
-            estimated=self.estimated or other.estimated,
+            self.prompt_tokens + other.prompt_tokens,
+            self.completion_tokens + other.completion_tokens,
+            self.estimated or other.estimated,
         )
 
     def __mul__(self, count: int) -> "Usage":
-        return Usage(
-            prompt_tokens=self.prompt_tokens * count,
-            completion_tokens=self.completion_tokens * count,
-            estimated=self.estimated,
-        )
+        return Usage(self.prompt_tokens * count, self.completion_tokens * count, self.estimated)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -315,24 +272,24 @@ def request_body(settings: LlmSettings, messages: Messages, mode: Mode, schema: 
         mode: How to specify the form of the reply.
         schema: JSON schema of the reply.
     """
-    body: dict[str, Any] = {
+    forms: dict[Mode, JsonObject] = {
+        Mode.JSON_SCHEMA: {
+            "type": "json_schema",
+            "json_schema": {"name": "solutions", "strict": True, "schema": schema},
+        },
+        Mode.SCHEMA_IN_OBJECT: {"type": "json_object", "schema": schema},
+        Mode.JSON_OBJECT: {"type": "json_object"},
+    }
+    return {
         "model": settings.model,
         "messages": [asdict(message) for message in messages],
         "temperature": settings.temperature,
         "top_p": settings.top_p,
         settings.token_field: settings.max_tokens,
         "stream": False,
+        **({} if settings.seed is None else {"seed": settings.seed}),
+        **({} if mode is Mode.PLAIN else {"response_format": forms[mode]}),
     }
-    if settings.seed is not None:
-        body["seed"] = settings.seed
-    if mode is Mode.JSON_SCHEMA:
-        named = {"name": _SCHEMA_NAME, "strict": True, "schema": schema}
-        body["response_format"] = {"type": "json_schema", "json_schema": named}
-    elif mode is Mode.SCHEMA_IN_OBJECT:
-        body["response_format"] = {"type": "json_object", "schema": schema}
-    elif mode is Mode.JSON_OBJECT:
-        body["response_format"] = {"type": "json_object"}
-    return body
 
 
 def sanitize(body: bytes, secrets: Sequence[str] = ()) -> str:
@@ -350,26 +307,22 @@ def read_reply(raw: str) -> Reply:
     Raises:
         UnusableReply: It is not a chat completion.
     """
-    try:
-        document = decode_json(raw)
-    except BadJson as error:
-        raise UnusableReply(f"expected a chat completion, got invalid JSON ({error})", raw=raw) from None
-    choices = document.get("choices") if isinstance(document, dict) else None
-    if not isinstance(document, dict) or not isinstance(choices, list):
+    document = _object(_decoded(raw))
+    choices = document.get("choices")
+    if not isinstance(choices, list):
         raise UnusableReply(f"expected a chat completion with choices, got {error_text(raw)}", raw=raw)
-    first = choices[0] if choices else None
-    message = first.get("message") if isinstance(first, dict) else None
-    if not isinstance(first, dict) or not isinstance(message, dict):
+    first = _object(choices[0] if choices else None)
+    message = first.get("message")
+    if not isinstance(message, dict):
         raise UnusableReply("expected a chat completion with a message, got one without", raw=raw)
     reason = first.get("finish_reason")
     finish_reason = reason.lower() if isinstance(reason, str) else None
     # With forced JSON, some servers report the answer as reasoning and leave the content empty.
     fields = ("content", "reasoning_content", "reasoning", "thinking")
-    text = next((text for name in fields if (text := _text(message.get(name))).strip()), "")
     return Reply(
-        text=text,
+        text=next((text for name in fields if (text := _text(message.get(name))).strip()), ""),
         finish_reason=finish_reason,
-        usage=_usage(document.get("usage")),
+        usage=_usage(_object(document.get("usage"))),
         refusal=bool(_text(message.get("refusal")).strip()) or finish_reason in _WITHHELD,
     )
 
@@ -378,15 +331,12 @@ def _text(content: object) -> str:
     """Return the text of a content field: a string, or a list of parts."""
     if isinstance(content, str):
         return content
-    if not isinstance(content, list):
-        return ""
-    parts = [part.get("text") if isinstance(part, dict) else part for part in content]
-    return "".join(part for part in parts if isinstance(part, str))
+    parts = content if isinstance(content, list) else []
+    texts = [part.get("text") if isinstance(part, dict) else part for part in parts]
+    return "".join(text for text in texts if isinstance(text, str))
 
 
-def _usage(reported: object) -> Usage | None:
-    if not isinstance(reported, dict):
-        return None
+def _usage(reported: Mapping[str, Any]) -> Usage | None:
     prompt, completion, total = (
         _tokens(reported.get(name)) for name in ("prompt_tokens", "completion_tokens", "total_tokens")
     )
@@ -395,9 +345,7 @@ def _usage(reported: object) -> Usage | None:
     if total is not None:
         # Some endpoints bill reasoning without counting it as completion tokens; the total includes it.
         completion = max(completion or 0, total - prompt)
-    if completion is None:
-        return None
-    return Usage(prompt_tokens=prompt, completion_tokens=completion)
+    return None if completion is None else Usage(prompt, completion)
 
 
 def _tokens(value: object) -> int | None:
@@ -408,19 +356,18 @@ def _tokens(value: object) -> int | None:
 
 def error_text(raw: str) -> str:
     """Return the message of an error body in any of the usual forms, or else its text, on one short line."""
-    document = _decoded(raw)
-    message = _error_message(document) if isinstance(document, dict) else ""
-    text = "".join(letter if letter.isprintable() else " " for letter in (message or raw)[: 8 * _ERROR_CHARS])
+    message = _error_message(_object(_decoded(raw))) or raw
+    text = "".join(letter if letter.isprintable() else " " for letter in message[: 8 * _ERROR_CHARS])
     return " ".join(text.split())[:_ERROR_CHARS] or "nothing"
 
 
-def _error_message(document: dict[str, Any]) -> str:
+def _error_message(document: Mapping[str, Any]) -> str:
     for name in ("error", "detail", "message"):
         reported = document.get(name)
         if isinstance(reported, dict):
             reported = reported.get("message")
         elif isinstance(reported, list):
-            messages = [one.get("msg") for one in reported if isinstance(one, dict)]
+            messages = [_object(one).get("msg") for one in reported]
             reported = "; ".join(message for message in messages if isinstance(message, str))
         if isinstance(reported, str) and reported.strip():
             return reported
@@ -429,17 +376,15 @@ def _error_message(document: dict[str, Any]) -> str:
 
 def parse_models(raw: str) -> tuple[str, ...] | None:
     """Return the model names of a model list in any of the usual forms, or None if it is not a list."""
-    document: Any = _decoded(raw)
+    document = _decoded(raw)
     if isinstance(document, dict):
-        document = next((document[name] for name in ("data", "models") if document.get(name)), [])
+        document = document.get("data") or document.get("models") or []
     if not isinstance(document, list):
         return None
-    names = (
-        next((one[name] for name in ("id", "model", "name") if one.get(name)), None)
-        if isinstance(one, dict)
-        else one
+    names = [
+        one.get("id") or one.get("model") or one.get("name") if isinstance(one, dict) else one
         for one in document
-    )
+    ]
     return tuple(name[:_NAME_CHARS] for name in names if isinstance(name, str))
 
 
@@ -459,10 +404,10 @@ def parse_retry_after(headers: Mapping[str, str], now: datetime) -> float | None
 
 def embedded_status(raw: str) -> int | None:
     """Return the error status in the body of a 2xx response, or None: some gateways put upstream errors there."""
-    document = _decoded(raw) if '"error"' in raw else None
-    if not isinstance(document, dict) or document.get("choices") or not document.get("error"):
+    document = _object(_decoded(raw) if '"error"' in raw else None)
+    if document.get("choices"):
         return None
-    code = document["error"].get("code") if isinstance(document["error"], dict) else None
+    code = _object(document.get("error")).get("code")
     return code if type(code) is int and 400 <= code <= 599 else None
 
 
@@ -491,12 +436,12 @@ def error_from(
         return AccessRefused(f"{message}. {advice}")
     if status == 404:
         advice = f"Check that it serves the model {settings.model!r}, and that the path of endpoint is correct (/v1)"
-        return ModelUnknown(f"{message}. {advice}")
+        return Refused(f"{message}. {advice}")
     if 300 <= status < 400:
         message = f"{message}. It redirects: set endpoint to the new address"
     elif settings.token_field == "max_tokens" and "max_completion_tokens" in text:
         message = f"{message}. Set token_field: max_completion_tokens"
-    return RequestRefused(message)
+    return Refused(message)
 
 
 def rejects_form(status: int, raw: str, *, proven: bool) -> bool:

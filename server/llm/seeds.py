@@ -10,35 +10,43 @@ replies.
 
 import asyncio
 import contextlib
-import functools
 import logging
-import operator
 import secrets
 import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Final, TypedDict
+from typing import Final
 
+from sqlalchemy import Connection
 from sqlalchemy.exc import DBAPIError
 
 from brink.search.algorithm import Origin, Proposal, SeedRequest
-from brink.search.traffic.participants import RoadLimits, Solution
+from brink.search.traffic.participants import Solution
 from brink.server.db.engine import Engines
 from brink.server.db.writer import Writer
 from brink.server.errors import FieldError, Unavailable
 from brink.server.llm.access import LlmAccess
-from brink.server.llm.calls import Breaker, CallKey, CallLog, Outcome, StoredCall, cost_of, worst_usage
+from brink.server.llm.calls import (
+    Breaker,
+    CallLog,
+    CampaignCalls,
+    breaker_after,
+    check_budget,
+    claim,
+    list_calls,
+    release,
+    using,
+    worst_usage,
+)
 from brink.server.llm.client import LlmClient
 from brink.server.llm.prompts import question, repair
 from brink.server.llm.protocol import (
     CallLogMismatch,
     Effort,
-    EndpointUnavailable,
     LlmError,
     Messages,
-    Mode,
     OverBudget,
     UnusableReply,
     Usage,
@@ -47,8 +55,8 @@ from brink.server.llm.protocol import (
 )
 from brink.server.llm.replies import SCHEMA, Parsed, RoadChecker, parse, pointed
 from brink.server.llm.settings import LlmSettings
-from brink.server.llm.store import CampaignCalls, claim, release
 from brink.server.problems.base import Problem, SupportsSeeds
+from brink.server.seeding import LlmCall, Mode, Outcome, spent_on
 
 HOLD_S: Final = 60.0
 """How long the claim of a coordinator that died prevents others from asking."""
@@ -69,39 +77,34 @@ class Answer:
     Attributes:
         proposals: Valid solutions, each with its origin.
         words: Summary on one line.
-        calls: The calls that it took, including stored ones.
     """
 
     proposals: tuple[Proposal, ...]
     words: str
-    calls: tuple[StoredCall, ...]
 
 
-async def ask(
-    request: SeedRequest,
-    *,
-    road: RoadLimits,
-    max_participants: int,
-    system: str,
-    log: CallLog,
-    client: LlmClient,
-) -> Answer:
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    """A call and its parsed reply."""
+
+    call: LlmCall
+    parsed: Parsed
+
+
+async def ask(request: SeedRequest, problem: SupportsSeeds, log: CallLog, client: LlmClient) -> Answer:
     """Ask a language model for solutions; a stored call is not made again.
 
     Args:
         request: Number of solutions, and the known ones.
-        road: The road.
-        max_participants: Maximum number of participants in a solution.
-        system: Short description of the system under test.
+        problem: The road, and the system under test.
         log: The calls of the campaign.
         client: The endpoint.
 
     Raises:
         CallLogMismatch: A stored call of this request was made with a different prompt.
     """
-    deadline_s = client.clock() + client.settings.delay_limit_s
-    turns = _Turns(request.number, RoadChecker(road, max_participants), log, client, deadline_s)
-    asked = question(request, road, max_participants, system)
+    turns = _Turns(request.number, RoadChecker(problem.road, problem.max_participants), log, client)
+    asked = question(request, problem.road, problem.max_participants, problem.system)
     first = await turns.take(asked, request.count)
     usable = first.parsed.solutions
     proposals = [Proposal(solution=solution, origin=Origin.LLM) for solution in usable]
@@ -110,59 +113,7 @@ async def ask(
     if missing and first.parsed.errors and first.call.outcome is not Outcome.DECLINED:
         second = await turns.take(repair(asked, usable, first.parsed.errors, missing), missing, usable)
         proposals += [Proposal(solution=s, origin=Origin.LLM_REPAIR) for s in second.parsed.solutions]
-    return Answer(
-        proposals=tuple(proposals),
-        words=_summary(request.count, first, second),
-        calls=(first.call,) if second is None else (first.call, second.call),
-    )
-
-
-class _Used(TypedDict):
-    """Usage and cost of a call."""
-
-    usage: Usage | None
-    cost: float | None
-
-
-class _Bill:
-    """What a call uses and costs.
-
-    Args:
-        settings: The prices, and the longest reply.
-        messages: The prompt.
-        earlier: Tokens of requests that were lost when a coordinator stopped.
-
-    Attributes:
-        messages: The prompt.
-        worst: The most that one request may use.
-    """
-
-    def __init__(self, settings: LlmSettings, messages: Messages, earlier: Usage | None) -> None:
-        self.messages = messages
-        self.worst = worst_usage(settings, messages)
-        self._settings = settings
-        self._earlier = earlier
-
-    def of(self, *, lost: int, reply: Usage | None = None) -> _Used:
-        """Return the usage and the cost of a call.
-
-        Args:
-            lost: Requests that the endpoint may have processed without delivering a usable reply.
-            reply: Tokens of the reply; None without one.
-        """
-        parts = [
-            part for part in (reply, self.worst * lost if lost else None, self._earlier) if part is not None
-        ]
-        usage = functools.reduce(operator.add, parts) if parts else None
-        return _Used(usage=usage, cost=cost_of(usage, self._settings) if usage is not None else 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class _Turn:
-    """A call and its parsed reply."""
-
-    call: StoredCall
-    parsed: Parsed
+    return Answer(proposals=tuple(proposals), words=_summary(request.count, first, second))
 
 
 class _Turns:
@@ -173,17 +124,14 @@ class _Turns:
         road: Checks that solutions are possible.
         log: The calls of the campaign.
         client: The endpoint.
-        deadline_s: Time on the client's clock until which calls may take.
     """
 
-    def __init__(
-        self, number: int, road: RoadChecker, log: CallLog, client: LlmClient, deadline_s: float
-    ) -> None:
+    def __init__(self, number: int, road: RoadChecker, log: CallLog, client: LlmClient) -> None:
         self._number = number
         self._road = road
         self._log = log
         self._client = client
-        self._deadline_s = deadline_s
+        self._deadline_s = client.clock() + client.settings.delay_limit_s
         self._turn = 0
 
     async def take(self, messages: Messages, wanted: int, known: Sequence[Solution] = ()) -> _Turn:
@@ -197,173 +145,136 @@ class _Turns:
         Raises:
             CallLogMismatch: The turn is stored with a different prompt.
         """
-        key = CallKey(self._number, self._turn)
+        new = LlmCall(
+            request=self._number,
+            turn=self._turn,
+            prompt_hash=prompt_hash(messages),
+            mode=self._client.mode,
+            error="in progress, or lost when a coordinator stopped",
+        )
         self._turn += 1
-        call = self._log.find(key)
-        if call is not None and call.prompt_hash != prompt_hash(messages):
+        stored, now = self._log.read()
+        others = [call for call in stored if (call.request, call.turn) != (new.request, new.turn)]
+        call = next((call for call in stored if call not in others), new)
+        if call.prompt_hash != new.prompt_hash:
             raise CallLogMismatch(
-                f"request {key.request}, turn {key.turn}: expected the stored call to have the prompt "
-                f"{prompt_hash(messages)[:12]}; it has {call.prompt_hash[:12]}. It was made by another version of "
+                f"request {call.request}, turn {call.turn}: expected the stored call to have the prompt "
+                f"{new.prompt_hash[:12]}; it has {call.prompt_hash[:12]}. It was made by another version of "
                 "Brink or for another campaign: continue with that version, or start the campaign again"
             )
-        if call is None or call.outcome is Outcome.SENT:
-            call = await self._make_call(key, messages, wanted, known, call)
+        if call.outcome is Outcome.SENT:
+            call = await self._made(call, others, breaker_after(stored, now), messages, wanted, known)
             self._log.store(call)
-        return _Turn(call, self._parse(call.raw, wanted, known)[0])
+        return _Turn(call, self._parse(call.reply, wanted, known)[0])
 
-    async def _make_call(
+    async def _made(
         self,
-        key: CallKey,
+        sent: LlmCall,
+        others: Sequence[LlmCall],
+        breaker: Breaker,
         messages: Messages,
         wanted: int,
         known: Sequence[Solution],
-        stopped: StoredCall | None,
-    ) -> StoredCall:
+    ) -> LlmCall:
         """Make a call, storing each request with its worst-case usage before it is sent, in case the process stops.
 
         Args:
-            key: Identifies the call.
+            sent: The call, with the requests of a coordinator that stopped before the reply.
+            others: The other calls of the campaign.
+            breaker: The circuit breaker.
             messages: The prompt.
             wanted: Number of solutions.
             known: Solutions that were accepted already.
-            stopped: The same call as a coordinator stored it that stopped before the reply; None if there was none.
         """
-        settings, breaker = self._client.settings, self._log.breaker()
-        earlier = stopped.requests if stopped is not None else 0
-        bill = _Bill(settings, messages, None if stopped is None else stopped.usage)
-        stored = functools.partial(StoredCall, key=key, prompt_hash=prompt_hash(messages))
+        client, settings = self._client, self._client.settings
+        worst = worst_usage(settings, messages)
+
+        def after(effort: Effort, *replies: Usage) -> LlmCall:
+            """Return the call after some requests."""
+            lost = [worst * effort.lost] if effort.lost else []
+            return using(sent, settings, effort.requests, *lost, *replies)
+
+        def before_request(effort: Effort) -> None:
+            check_budget(spent_on([*others, after(effort)]), settings, messages)
+            self._log.store(after(Effort(requests=effort.requests + 1, lost=effort.lost + 1)))
+
         if breaker.cools_s > 0:
-            return stored(
-                mode=self._client.mode,
-                raw=None,
-                outcome=Outcome.CIRCUIT_OPEN,
-                requests=earlier,
-                **bill.of(lost=0),
-                latency_s=0.0,
-                error=breaker.words[:_ERROR_CHARS],
-            )
-        before_request = self._store_before(stored, bill, earlier)
+            return _ended(sent, Outcome.CIRCUIT_OPEN, breaker.words)
+        stopped = sent.calls and f"{_count(sent.calls, 'request')} lost when a coordinator stopped"
         try:
-            completion = await self._client.complete(
+            completion = await client.complete(
                 messages,
                 SCHEMA,
-                tries=1 if breaker.on_trial else max(1, settings.retries + 1 - earlier),
+                tries=1 if breaker.on_trial else max(1, settings.retries + 1 - sent.calls),
                 deadline_s=self._deadline_s,
                 before_request=before_request,
             )
         except LlmError as error:
-            effort = error.effort
-            return stored(
-                mode=self._client.mode,
-                raw=error.raw if isinstance(error, UnusableReply) else None,
-                outcome=_outcome_of(error),
-                requests=earlier + effort.requests,
-                **bill.of(lost=effort.lost),
-                latency_s=effort.elapsed_s,
-                error=_failure_words(error, breaker, earlier),
+            before = (
+                breaker.failed and isinstance(error, OverBudget) and f"the last call failed: {breaker.error}"
+            )
+            return _ended(
+                after(error.effort),
+                error.outcome,
+                stopped,
+                str(error),
+                before,
+                mode=client.mode,
+                reply=error.raw,
+                latency_s=error.effort.elapsed_s,
             )
         effort = completion.effort
         _, outcome, trouble = self._parse(completion.raw, wanted, known)
-        return stored(
+        return _ended(
+            after(effort, completion.reply.usage or worst),
+            outcome,
+            stopped,
+            effort.words and f"before the reply: {effort.words}",
+            trouble,
             mode=completion.mode,
-            raw=completion.raw,
-            outcome=outcome,
-            requests=earlier + effort.requests,
-            **bill.of(lost=effort.lost, reply=completion.usage or bill.worst),
+            reply=completion.raw,
             latency_s=completion.latency_s,
-            error=_join(
-                _stopped_words(earlier), effort.words and f"before the reply: {effort.words}", trouble
-            ),
         )
 
-    def _store_before(
-        self, stored: Callable[..., StoredCall], bill: _Bill, earlier: int
-    ) -> Callable[[Effort], None]:
-        """Return a callback that checks the budget and stores a call before each of its requests.
-
-        Args:
-            stored: Makes the call as it is stored.
-            bill: What the call costs.
-            earlier: Requests of this call that were lost when a coordinator stopped.
-        """
-        settings, mode, spent = self._client.settings, self._client.mode, self._log.spent()
-
-        def before_request(effort: Effort) -> None:
-            used = bill.worst * effort.lost
-            sent = spent.plus(effort.requests, used, cost_of(used, settings))
-            sent.check_budget(settings, bill.messages)
-            self._log.store(
-                stored(
-                    mode=mode,
-                    raw=None,
-                    outcome=Outcome.SENT,
-                    requests=earlier + effort.requests + 1,
-                    **bill.of(lost=effort.lost + 1),
-                    latency_s=0.0,
-                    error="in progress, or lost when a coordinator stopped",
-                )
-            )
-
-        return before_request
-
-    def _parse(
-        self, raw: str | None, wanted: int, known: Sequence[Solution]
-    ) -> tuple[Parsed, Outcome, str | None]:
+    def _parse(self, raw: str | None, wanted: int, known: Sequence[Solution]) -> tuple[Parsed, Outcome, str]:
         """Return the content of a new or stored reply, its outcome, and its errors."""
-        if raw is None:
-            return Parsed(), Outcome.INVALID, None
         try:
-            reply = read_reply(raw)
+            reply = read_reply(raw or "")
         except UnusableReply as error:
             return Parsed(), Outcome.INVALID, str(error)
         parsed = parse(reply.text, self._road, wanted, known)
         if reply.refusal and not parsed.solutions:
             return parsed, Outcome.DECLINED, "the model or a content filter declined to answer"
         trouble = _join_errors(parsed.errors)
+        outcome = Outcome.OK if parsed.solutions else Outcome.INVALID
         if reply.truncated:
             limit = f"the reply reached max_tokens ({self._client.settings.max_tokens})"
-            outcome = Outcome.TRUNCATED if parsed.solutions else Outcome.INVALID
-            return parsed, outcome, _join(limit, trouble)
-        return parsed, Outcome.OK if parsed.solutions else Outcome.INVALID, trouble
+            trouble = f"{limit}; {trouble}" if trouble else limit
+            outcome = Outcome.TRUNCATED if parsed.solutions else outcome
+        return parsed, outcome, trouble
 
 
-def _outcome_of(error: LlmError) -> Outcome:
-    match error:
-        case EndpointUnavailable():
-            return Outcome.UNAVAILABLE
-        case OverBudget():
-            return Outcome.OVER_BUDGET
-        case UnusableReply():
-            return Outcome.INVALID
-        case _:
-            return Outcome.REFUSED
+def _ended(call: LlmCall, outcome: Outcome, *words: object, **changes: object) -> LlmCall:
+    """Return a call with its outcome.
+
+    Args:
+        call: The call.
+        outcome: The outcome.
+        words: What went wrong; what is empty is left out.
+        changes: Other fields that change.
+    """
+    error = "; ".join(str(part) for part in words if part)[:_ERROR_CHARS] or None
+    return call.model_copy(update={"outcome": outcome, "error": error, **changes})
 
 
-def _failure_words(error: LlmError, breaker: Breaker, earlier: int) -> str | None:
-    """Describe what happened to a call without a reply and, if it was not made, to the last call before it."""
-    before = (
-        f"the last call failed: {breaker.error}" if breaker.failed and isinstance(error, OverBudget) else None
-    )
-    return _join(_stopped_words(earlier), str(error), before)
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _join_errors(errors: Sequence[FieldError]) -> str | None:
-    if not errors:
-        return None
+def _join_errors(errors: Sequence[FieldError]) -> str:
     more = len(errors) - _ERRORS_SHOWN
-    text = "; ".join(map(pointed, errors[:_ERRORS_SHOWN])) + (f"; and {more} more" if more > 0 else "")
-    return text[:_ERROR_CHARS]
-
-
-def _join(*parts: str | None) -> str | None:
-    """Join the available parts into one text of bounded length; None if there are none."""
-    return "; ".join(part for part in parts if part)[:_ERROR_CHARS] or None
-
-
-def _stopped_words(lost: int) -> str | None:
-    if not lost:
-        return None
-    return f"{lost} {'request' if lost == 1 else 'requests'} lost when a coordinator stopped"
+    text = "; ".join(map(pointed, errors[:_ERRORS_SHOWN]))
+    return f"{text}; and {more} more" if more > 0 else text
 
 
 def _summary(count: int, first: _Turn, second: _Turn | None) -> str:
@@ -475,6 +386,10 @@ class LlmSeeds:
             self._release(campaign_id)
         return None
 
+    def calls(self, connection: Connection, campaign_id: str) -> list[LlmCall]:
+        """Return the stored calls of a campaign in order."""
+        return list_calls(connection, campaign_id)
+
     def doing(self, campaign_id: str) -> str | None:
         """Describe the request that a campaign waits for; None if this coordinator has none in progress."""
         with self._lock:
@@ -539,17 +454,10 @@ class LlmSeeds:
         self, campaign_id: str, settings: LlmSettings, problem: SupportsSeeds, request: SeedRequest
     ) -> Sequence[Proposal]:
         calls = CampaignCalls(self._engines, self._writer, campaign_id, self._stopping)
-        known = calls.every()
+        known, _ = calls.read()
         mode = known[-1].mode if known else Mode.JSON_SCHEMA
         async with LlmClient(settings, access=self._access, mode=mode) as client:
-            answer = await ask(
-                request,
-                road=problem.road,
-                max_participants=problem.max_participants,
-                system=problem.system,
-                log=calls,
-                client=client,
-            )
+            answer = await ask(request, problem, calls, client)
         level = logging.INFO if answer.proposals else logging.WARNING
         patterns = "" if answer.proposals else "; hand-written patterns take their place"
         log.log(level, "%s%s", answer.words, patterns, extra={"campaign": campaign_id})

@@ -14,9 +14,8 @@ from sqlalchemy import JSON, BigInteger, Column, Integer
 from brink.server.campaigns.body import check_notes
 from brink.server.db.types import UtcDateTime
 from brink.server.documents import check_printable
-from brink.server.llm.calls import Outcome
-from brink.server.llm.protocol import Mode
 from brink.server.operations.export_file import BadFile
+from brink.server.seeding import Mode, Outcome
 from brink.worker.wire import LARGEST_NUMBER, Completed
 
 _SIGNED: Final = frozenset({"priority", "robustness"})

@@ -56,8 +56,7 @@ from brink.server.db.models import (
     ViolationNameRow,
 )
 from brink.server.db.sql import allow_pauses, database_now, in_list
-from brink.server.errors import Conflict, Damaged, NotFound
-from brink.server.llm.access import LlmAccess
+from brink.server.errors import Conflict, Damaged, InvalidInput, NotFound
 from brink.server.operations.export_file import (
     FORMAT,
     LARGEST_TRACE,
@@ -74,6 +73,7 @@ from brink.server.operations.imported_values import imported_value, type_of
 from brink.server.operations.verification import count_missing_jobs, verify_counts, verify_results
 from brink.server.problems.base import InProcessProblem, MeasuresOnData
 from brink.server.problems.catalogue import uses_user_code
+from brink.server.seeding import Access
 from brink.server.states import CampaignStatus, JobKind, JobStatus
 from brink.sim.episode import EpisodeSpec
 from brink.sim.errors import SimulatorError
@@ -145,7 +145,7 @@ def export_campaign(connection: Connection, campaign_id: str, file: Path) -> dic
 
 
 def import_campaign(
-    connection: Connection, file: ExportFile, access: LlmAccess
+    connection: Connection, file: ExportFile, access: Access
 ) -> tuple[tuple[str, ...], dict[str, int]]:
     """Store the campaign of a file and its follow-ups; return their ids, its own first, and the rows of each table.
 
@@ -154,7 +154,7 @@ def import_campaign(
     Args:
         connection: In a write transaction, which must be rolled back if this raises.
         file: A file written by `export_campaign`.
-        access: The language models and keys that campaigns may use.
+        access: What campaigns may call.
 
     Raises:
         BadFile: The file is of another kind, damaged or inconsistent.
@@ -316,7 +316,7 @@ def _json(value: Any) -> Any:
 
 
 def _import(
-    connection: Connection, file: ExportFile, access: LlmAccess
+    connection: Connection, file: ExportFile, access: Access
 ) -> tuple[tuple[str, ...], dict[str, int]]:
     """Store the campaign of a file and its follow-ups; return their ids, and the number of rows of each table."""
     links = file.links()
@@ -366,7 +366,7 @@ class _Import:
     """Whether the campaign may still run."""
 
     def __init__(
-        self, connection: Connection, file: ExportFile, access: LlmAccess, campaign_id: str, folder: str = ""
+        self, connection: Connection, file: ExportFile, access: Access, campaign_id: str, folder: str = ""
     ) -> None:
         self._connection = connection
         self._file = file
@@ -471,13 +471,12 @@ class _Import:
             raise BadFile(f"{where}: finished_at: expected a time if and only if the campaign has ended")
         if not self._is_open:  # what may no longer run is only shown, as after an upgrade
             return
-        if body.llm is not None and (refusal := self._access.refusal(body.llm)) is not None:
-            raise BadFile(f"{where}: document: llm.{refusal[0]}: {refusal[1]}")
         try:
+            self._access.check(body.llm)
             self.plan.algorithm.check(
                 self.plan.problem.space, self.plan.config, budget=body.budget.simulations
             )
-        except ConfigError as error:
+        except (ConfigError, InvalidInput) as error:
             raise BadFile(f"{where}: document: {error}") from None
 
     def _insert(self, name: str, model: type[Base]) -> int:

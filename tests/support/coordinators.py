@@ -15,9 +15,9 @@ from brink.server.campaigns.plan import first_generations, make_plan, restored_a
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines
 from brink.server.db.writer import Writer
-from brink.server.llm.settings import LlmSettings
 from brink.server.problems.base import Problem
 from brink.server.queue.report_store import Outcome
+from brink.server.seeding import LlmCall
 from brink.worker.wire import Completed, LeasedJob
 from support.problems import SIMULATOR, simulated
 from support.queue import Queue
@@ -30,9 +30,17 @@ class NoSeeds:
         self.says: Sequence[Proposal] | None = ()
 
     def proposals(
-        self, campaign_id: str, settings: LlmSettings | None, problem: Problem, request: SeedRequest
+        self, campaign_id: str, settings: object, problem: Problem, request: SeedRequest
     ) -> Sequence[Proposal] | None:
         return self.says
+
+    def doing(self, campaign_id: str) -> str | None:
+        return None
+
+    def calls(self, connection: Connection, campaign_id: str) -> list[LlmCall]:
+        return []
+
+    def close(self) -> None: ...
 
 
 class Coordinators:

@@ -32,7 +32,7 @@ from brink.server.campaigns.others import PATIENCE_S, OtherCoordinators
 from brink.server.db.engine import Engines
 from brink.server.db.models import CheckpointRow, GenerationRow, SolutionRow
 from brink.server.errors import Damaged, Unavailable
-from brink.server.llm.store import claim
+from brink.server.llm.calls import claim
 from brink.server.queue import job_store
 from brink.server.queue.report_store import Outcome
 from brink.server.queue.wakeups import count_listening

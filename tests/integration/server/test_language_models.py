@@ -3,7 +3,7 @@
 import json
 import re
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +13,7 @@ import httpx
 import pytest
 import yaml
 from fastapi.responses import JSONResponse, Response
-from sqlalchemy import select, update
+from sqlalchemy import Connection, select, update
 from support.api import coordinator, eventually, expect, progress, reached, submit
 from support.databases import on_sqlite
 from support.llm_endpoint import (
@@ -45,19 +45,20 @@ from typer.testing import CliRunner
 
 import brink.server.llm.seeds
 from brink.cli.commands import app
-from brink.search.algorithm import SeedRequest
+from brink.search.algorithm import Origin, Proposal, SeedRequest
 from brink.server.campaigns.body import CampaignBody
 from brink.server.db.engine import Engines
 from brink.server.db.models import CampaignRow, SeedClaimRow
 from brink.server.db.writer import Writer
 from brink.server.errors import InvalidInput, Unavailable
 from brink.server.llm.access import LlmAccess
-from brink.server.llm.calls import CallKey, Outcome, StoredCall
+from brink.server.llm.calls import CampaignCalls, claim
 from brink.server.llm.client import MAX_REPLY_BYTES
-from brink.server.llm.protocol import Mode
+from brink.server.llm.replies import RoadChecker, parse
+from brink.server.llm.seeder import LanguageModels
 from brink.server.llm.seeds import LlmSeeds
-from brink.server.llm.store import CampaignCalls, claim
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
+from brink.server.seeding import LlmCall, Mode, Outcome
 
 pytestmark = pytest.mark.timeout(180)
 
@@ -81,6 +82,45 @@ def test_model_provides_the_first_population(client: httpx.Client, endpoint: End
     assert (call["request"], call["turn"], call["outcome"], call["cost"]) == (0, 0, "ok", None)
     assert (call["prompt_tokens"], call["completion_tokens"], call["estimated"]) == (900, 100, False)
     assert len(endpoint.asked) == 1
+
+
+class Canned:
+    """A source of seeds that calls nobody."""
+
+    def __init__(self, *given: object) -> None:
+        self.closed = False
+
+    def proposals(
+        self, campaign_id: str, settings: Any, problem: NpcActions, request: SeedRequest
+    ) -> Sequence[Proposal]:
+        road = RoadChecker(problem.road, problem.max_participants)
+        solutions = parse(reply_text(items(POPULATION)), road, request.count).solutions
+        return [Proposal(solution=solution, origin=Origin.LLM_REPAIR) for solution in solutions]
+
+    def doing(self, campaign_id: str) -> str | None:
+        return "thinking"
+
+    def calls(self, connection: Connection, campaign_id: str) -> list[LlmCall]:
+        return [LlmCall(request=0, turn=0, prompt_hash="0" * 64, mode=Mode.PLAIN, calls=2, reply="{}")]
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_another_source_of_seeds_takes_the_place_of_language_models(
+    database_url: str, endpoint: Endpoint, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = Canned()
+    monkeypatch.setattr(LanguageModels, "source", lambda *given: source)
+    with coordinator(database_url) as client:
+        campaign = submit(client, seeded(endpoint, differential="never"))
+        assert progress(client, campaign)["asking"] == "thinking"
+        assert traffic_worker(client).work(campaign)["status"] == "finished"
+        assert origins(client, campaign)[:POPULATION] == ["llm_repair"] * POPULATION
+        stored = calls(client, campaign)
+    assert (stored["total_calls"], stored["max_calls"], stored["calls"][0]["reply"]) == (2, 50, None)
+    assert endpoint.asked == []
+    assert source.closed
 
 
 @pytest.mark.long("runs a campaign")
@@ -293,17 +333,8 @@ def test_storing_a_reply_is_retried_until_shutdown(
     writer, stopping = Writer(engines.writer), threading.Event()
     writer.close()
     log = CampaignCalls(engines, writer, "nobody", stopping)
-    call = StoredCall(
-        key=CallKey(0, 0),
-        prompt_hash="0" * 64,
-        mode=Mode.PLAIN,
-        raw="{}",
-        outcome=Outcome.OK,
-        requests=1,
-        usage=None,
-        cost=None,
-        latency_s=0.1,
-        error=None,
+    call = LlmCall(
+        request=0, turn=0, prompt_hash="0" * 64, mode=Mode.PLAIN, outcome=Outcome.OK, calls=1, reply="{}"
     )
     refused: list[BaseException] = []
 

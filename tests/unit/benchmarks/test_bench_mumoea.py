@@ -112,13 +112,13 @@ def test_the_stand_in_answers_over_the_path_of_language_models() -> None:
         assert len(first) == 2 * BROKEN_EVERY
         # Two of ten are broken; of the two that replace them, none is.
         assert [one.origin for one in first] == [Origin.LLM] * 8 + [Origin.LLM_REPAIR] * 2
-        assert seeds.spent.requests == 2
+        assert seeds.spent.total_calls == 2
         assert again.proposals(request(0, 2 * BROKEN_EVERY)) == first
         assert other.proposals(request(0, 2 * BROKEN_EVERY)) != first
         known = tuple(one.solution for one in first[:3])
         differential = seeds.proposals(request(1, 4, exposed=known))
-        assert seeds.spent.requests == 3
-        assert seeds.spent.tokens > 0
+        assert seeds.spent.total_calls == 3
+        assert seeds.spent.total_tokens > 0
     checker = RoadChecker(PROBLEM.road, PROBLEM.max_participants)
     assert all(checker.problems(one.solution) == [] for one in [*first, *differential])
 

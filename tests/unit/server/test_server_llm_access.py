@@ -5,9 +5,10 @@ from typing import Any
 import pytest
 
 from brink.server.errors import InvalidInput
-from brink.server.llm.access import LlmAccess, with_endpoints
-from brink.server.llm.protocol import KeyMissing, NotAllowed
+from brink.server.llm.access import LlmAccess
+from brink.server.llm.protocol import NotSent
 from brink.server.llm.settings import LlmSettings
+from brink.server.settings import Settings
 
 SECRET = "sk-proj-0123456789abcdef"
 HOSTED = "https://api.example.com/v1"
@@ -49,16 +50,17 @@ def test_a_key_is_sent_only_where_the_operator_pairs_it_with_the_address(
     with pytest.raises(InvalidInput, match=f"llm.{field}: .*BRINK_LLM_ENDPOINTS='{endpoint}") as caught:
         access.check(wanted)
     assert [error.pointer for error in caught.value.errors] == [f"/llm/{field}"]
-    with pytest.raises(NotAllowed) as refused:
+    with pytest.raises(NotSent) as refused:
         access.key(wanted)
     assert SECRET not in f"{caught.value} {refused.value} {access!r}"
 
 
 def test_a_file_that_its_user_runs_may_name_an_endpoint_but_no_key() -> None:
     own = settings(api_key_env="AWS_SECRET_ACCESS_KEY")
-    access = LlmAccess.parse(with_endpoints("", [own, None]), {"AWS_SECRET_ACCESS_KEY": SECRET})
+    allowed = Settings(llm_endpoints="").allowing([own.endpoint]).llm_endpoints
+    access = LlmAccess.parse(allowed, {"AWS_SECRET_ACCESS_KEY": SECRET})
     access.check(settings())
-    with pytest.raises(NotAllowed, match="may not send the key in AWS_SECRET_ACCESS_KEY"):
+    with pytest.raises(NotSent, match="may not send the key in AWS_SECRET_ACCESS_KEY"):
         access.key(own)
 
 
@@ -91,6 +93,6 @@ def test_the_key_comes_from_the_environment() -> None:
     "environ", [{}, {"MY_KEY": "  "}, {"MY_KEY": "schlüssel-geheim"}, {"MY_KEY": "geheim 1"}]
 )
 def test_a_missing_or_invalid_key_is_reported_by_its_variable(environ: dict[str, str]) -> None:
-    with pytest.raises(KeyMissing, match="MY_KEY") as caught:
+    with pytest.raises(NotSent, match="MY_KEY") as caught:
         LlmAccess.parse(f"{HOSTED} MY_KEY", environ).key(settings(api_key_env="MY_KEY"))
     assert "geheim" not in str(caught.value)

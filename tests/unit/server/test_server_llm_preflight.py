@@ -20,10 +20,11 @@ from support.llm_endpoint import (
 )
 
 from brink.search.traffic.participants import RoadLimits
-from brink.server.llm.calls import Spent, cost_of, tokens_of, worst_usage
+from brink.server.llm.calls import check_budget, cost_of, tokens_of, using, worst_usage
 from brink.server.llm.preflight import EndpointReport, Estimate, check_endpoint, estimate
-from brink.server.llm.protocol import Message, Mode, OverBudget, Usage, canonical
+from brink.server.llm.protocol import Message, OverBudget, Usage, canonical
 from brink.server.llm.settings import LlmSettings
+from brink.server.seeding import LlmCall, Mode, Spent, spent_on
 
 ASKED = (Message("user", "x" * 700),)
 PRICES = {"input_price": 2.0, "output_price": 10.0}
@@ -58,24 +59,28 @@ def test_a_cost_needs_both_prices() -> None:
 
 
 def test_each_limit_is_enforced_exactly() -> None:
-    Spent(requests=1).check_budget(settings(max_calls=2), ASKED)
+    check_budget(Spent(total_calls=1), settings(max_calls=2), ASKED)
     with pytest.raises(OverBudget, match="all 2 requests of max_calls"):
-        Spent(requests=2).check_budget(settings(max_calls=2), ASKED)
+        check_budget(Spent(total_calls=2), settings(max_calls=2), ASKED)
     limited = settings(max_total_tokens=5000)
-    Spent(tokens=5000 - WORST.total).check_budget(limited, ASKED)
+    check_budget(Spent(total_tokens=5000 - WORST.total), limited, ASKED)
     with pytest.raises(OverBudget, match=r"max_total_tokens"):
-        Spent(tokens=5001 - WORST.total).check_budget(limited, ASKED)
+        check_budget(Spent(total_tokens=5001 - WORST.total), limited, ASKED)
     priced = settings(max_cost=1.0, **PRICES)
     worst = cost_of(WORST, priced)
     assert worst is not None
-    Spent(priced=0.999 - worst).check_budget(priced, ASKED)
+    check_budget(Spent(cost=0.999 - worst), priced, ASKED)
     with pytest.raises(OverBudget, match="max_cost"):
-        Spent(priced=1.001 - worst).check_budget(priced, ASKED)
+        check_budget(Spent(cost=1.001 - worst), priced, ASKED)
+
+
+NEW = LlmCall(request=0, turn=0, prompt_hash="0" * 64, mode=Mode.PLAIN)
 
 
 def test_max_cost_cannot_be_enforced_while_the_cost_is_unknown() -> None:
-    with pytest.raises(OverBudget, match="the cost of 2 requests is unknown"):
-        Spent(requests=2, unpriced=2).check_budget(settings(max_cost=1.0, **PRICES), ASKED)
+    unpriced = using(NEW, settings(), 2, WORST)
+    with pytest.raises(OverBudget, match="the cost of earlier requests is unknown"):
+        check_budget(spent_on([unpriced]), settings(max_cost=1.0, **PRICES), ASKED)
 
 
 @given(
@@ -87,16 +92,17 @@ def test_max_cost_cannot_be_enforced_while_the_cost_is_unknown() -> None:
 def test_no_limit_is_ever_exceeded(replies: list[int], tokens: int, calls: int, cost: float) -> None:
     """Provided that prompts are no longer than estimated, and replies no longer than requested."""
     limits = settings(max_total_tokens=tokens, max_calls=calls, max_cost=cost, **PRICES)
-    spent = Spent()
+    made: list[LlmCall] = []
     for reply in replies:
         try:
-            spent.check_budget(limits, ASKED)
+            check_budget(spent_on(made), limits, ASKED)
         except OverBudget:
             continue
         usage = Usage(prompt_tokens=WORST.prompt_tokens, completion_tokens=min(reply, limits.max_tokens))
-        spent = spent.plus(1, usage, cost_of(usage, limits))
-    assert spent.requests <= calls
-    assert spent.tokens <= tokens
+        made.append(using(NEW, limits, 1, usage))
+    spent = spent_on(made)
+    assert spent.total_calls <= calls
+    assert spent.total_tokens <= tokens
     assert spent.cost is not None
     assert spent.cost <= cost
 

@@ -6,7 +6,7 @@ import logging
 import math
 import re
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
 from random import Random
 from typing import Any
@@ -34,22 +34,14 @@ from support.llm_endpoint import (
 
 from brink.search.algorithm import Origin, SeedRequest
 from brink.search.traffic.participants import RoadLimits
-from brink.server.llm.calls import (
-    Breaker,
-    CallKey,
-    Outcome,
-    Spent,
-    StoredCall,
-    breaker_after,
-    spent_on,
-    worst_usage,
-)
+from brink.server.llm.calls import worst_usage
 from brink.server.llm.client import MAX_REPLY_BYTES, LlmClient
 from brink.server.llm.prompts import example, question
-from brink.server.llm.protocol import CallLogMismatch, Mode, Usage
+from brink.server.llm.protocol import CallLogMismatch, Usage
 from brink.server.llm.replies import RoadChecker
 from brink.server.llm.seeds import Answer, ask
 from brink.server.llm.settings import LlmSettings
+from brink.server.seeding import LlmCall, Mode, Outcome, Spent, spent_on
 
 pytestmark = pytest.mark.timeout(30)
 
@@ -64,25 +56,38 @@ GOOD = says(reply_text(items(WANTED)))
 
 
 @dataclass
+class Road:
+    """What a problem says to a language model."""
+
+    road: RoadLimits = ROAD
+    max_participants: int = MOST
+    system: str = SYSTEM
+
+
+PROBLEM = Road()
+
+
+def changed(call: LlmCall, **changes: Any) -> LlmCall:
+    return call.model_copy(update=changes)
+
+
+@dataclass
 class MemoryLog:
     """A call log in memory, with a clock that a test sets."""
 
-    calls: dict[CallKey, StoredCall] = field(default_factory=dict)
+    calls: dict[tuple[int, int], LlmCall] = field(default_factory=dict)
     now: datetime = NOON
 
-    def find(self, key: CallKey) -> StoredCall | None:
-        return self.calls.get(key)
+    def read(self) -> tuple[list[LlmCall], datetime]:
+        return list(self.calls.values()), self.now
 
-    def store(self, call: StoredCall) -> None:
-        before = self.calls.get(call.key)
+    def store(self, call: LlmCall) -> None:
+        before = self.calls.get((call.request, call.turn))
         assert before is None or before.outcome is Outcome.SENT
-        self.calls[call.key] = replace(call, stored_at=self.now)
+        self.calls[call.request, call.turn] = changed(call, called_at=self.now)
 
     def spent(self) -> Spent:
-        return spent_on(self.calls.values())
-
-    def breaker(self) -> Breaker:
-        return breaker_after(list(self.calls.values()), self.now)
+        return spent_on(list(self.calls.values()))
 
     @property
     def outcomes(self) -> list[str]:
@@ -105,13 +110,12 @@ def asking(
             settings, access=access_to(settings, environ), transport=unencrypted(), pause=pause, rng=Random(1)
         )
         async with client:
-            return await ask(request, road=ROAD, max_participants=MOST, system=SYSTEM, log=log, client=client)
+            return await ask(request, PROBLEM, log, client)
 
     answer = asyncio.run(run())
     road = RoadChecker(ROAD, MOST)
     assert all(road.problems(proposal.solution) == [] for proposal in answer.proposals)
     assert len({proposal.solution for proposal in answer.proposals}) == len(answer.proposals)
-    assert answer.calls == tuple(call for key, call in log.calls.items() if key.request == request.number)
     assert "\n" not in answer.words
     return answer
 
@@ -300,14 +304,12 @@ def test_every_endpoint_behaviour_gives_an_answer(endpoint: Endpoint, case: Case
     assert tuple(origins(answer)) == case.origins
     assert tuple(log.outcomes) == case.outcomes
     assert case.words in answer.words
-    assert len(endpoint.asked) == log.spent().requests == case.sent, "every request is counted"
+    assert len(endpoint.asked) == log.spent().total_calls == case.sent, "every request is counted"
     # A request that may be billed without a reply counts as one of maximum length.
-    replies = [
-        call.usage.completion_tokens / settings.max_tokens for call in log.calls.values() if call.usage
-    ]
+    replies = [(call.completion_tokens or 0) / settings.max_tokens for call in log.calls.values()]
     assert sum(map(math.ceil, replies)) == case.billed
     for call in log.calls.values():
-        assert (call.cost is None) == (call.usage is not None), "without prices a cost is unknown, not 0"
+        assert (call.cost is None) == (call.tokens > 0), "without prices a cost is unknown, not 0"
         assert call.error is None or len(call.error) <= 500
     for asked in endpoint.asked:
         assert INJECTION not in asked.prompt
@@ -325,9 +327,8 @@ def test_a_stalled_server_only_delays_the_answer(endpoint: Endpoint) -> None:
     assert "language model unavailable: " in answer.words
     assert "timed out after 0.2 s (1 try)" in answer.words
     [call] = log.calls.values()
-    assert (call.outcome, call.requests) == (Outcome.UNAVAILABLE, 1)
-    assert call.usage is not None
-    assert call.usage.estimated
+    assert (call.outcome, call.calls) == (Outcome.UNAVAILABLE, 1)
+    assert call.estimated
     assert call.latency_s >= 0.2
 
 
@@ -348,8 +349,8 @@ def test_the_circuit_breaker_opens_after_two_failed_calls_in_a_row(endpoint: End
         "language model not asked: the circuit breaker is open: 2 failed calls in a row; no call for 1 s; the last "
         f"one: {endpoint.url}: HTTP 500 (3 tries): no"
     )
-    call = log.calls[CallKey(5, 0)]
-    assert (call.outcome, call.requests, call.usage, call.cost) == (Outcome.CIRCUIT_OPEN, 0, None, 0.0)
+    call = log.calls[5, 0]
+    assert (call.outcome, call.calls, call.prompt_tokens, call.cost) == (Outcome.CIRCUIT_OPEN, 0, None, 0.0)
     log.now += timedelta(days=1)
     assert asking(settings, log, seeds(5)).words == answer.words, "a resumed campaign takes the same path"
     assert len(endpoint.asked) == sent
@@ -402,7 +403,7 @@ def in_real_time(settings: LlmSettings, log: MemoryLog) -> tuple[Answer, float]:
         async with LlmClient(
             settings, access=access_to(settings), transport=unencrypted(), rng=Random(1)
         ) as client:
-            return await ask(REQUEST, road=ROAD, max_participants=MOST, system=SYSTEM, log=log, client=client)
+            return await ask(REQUEST, PROBLEM, log, client)
 
     begun = time.monotonic()
     return asyncio.run(run()), time.monotonic() - begun
@@ -434,7 +435,7 @@ def test_the_delay_of_a_request_for_seeds_is_bounded(
     assert words in answer.words
     assert took_s < 3.0, "what 20 retries would take at least"
     assert sent is None or len(endpoint.asked) == sent
-    assert log.spent().requests == len(endpoint.asked)
+    assert log.spent().total_calls == len(endpoint.asked)
 
 
 def test_the_repair_turn_has_the_time_that_the_first_reply_left(endpoint: Endpoint) -> None:
@@ -453,12 +454,12 @@ def test_tries_lost_when_a_coordinator_stopped_are_not_made_again(endpoint: Endp
     settings, log = llm_settings(endpoint, retries=4), MemoryLog()
     asking(settings, log)
     (whole,) = log.calls.values()
-    log.calls[whole.key] = replace(whole, outcome=Outcome.SENT, raw=None, requests=3)
+    log.calls[3, 0] = changed(whole, outcome=Outcome.SENT, reply=None, calls=3)
     endpoint.reset()
     endpoint.always = refuses(500, "no")
     answer = asking(settings, log)
     assert len(endpoint.asked) == 2
-    assert log.spent().requests == 5
+    assert log.spent().total_calls == 5
     assert answer.words.startswith("language model unavailable: 3 requests lost when a coordinator stopped; ")
 
 
@@ -494,12 +495,12 @@ def test_unknown_usage_counts_as_the_worst_case_and_is_marked(endpoint: Endpoint
     log = MemoryLog()
     asking(llm_settings(endpoint, max_tokens=2000, input_price=0.0, output_price=1.0), log)
     [call] = log.calls.values()
-    assert call.usage is not None
-    assert call.usage.estimated
-    assert call.usage.completion_tokens == 2000
-    assert call.usage.prompt_tokens > 500
+    assert call.estimated
+    assert call.completion_tokens == 2000
+    assert call.prompt_tokens is not None
+    assert call.prompt_tokens > 500
     assert call.cost == pytest.approx(2000 / 1e6)
-    assert log.spent().estimated_tokens == log.spent().tokens == call.usage.total
+    assert log.spent().estimated_tokens == log.spent().total_tokens == call.tokens
 
 
 @pytest.mark.parametrize(
@@ -511,7 +512,7 @@ def test_every_try_counts_against_max_calls(endpoint: Endpoint, step: Step, what
     answer = asking(llm_settings(endpoint, max_calls=4, retries=5), log)
     assert answer.words.startswith(f"language model unavailable: {endpoint.url}: {what} (4 tries): ")
     assert answer.words.endswith("; no other try: all 4 requests of max_calls are used up")
-    assert len(endpoint.asked) == log.spent().requests == 4
+    assert len(endpoint.asked) == log.spent().total_calls == 4
     assert log.outcomes == ["unavailable"]
 
 
@@ -521,7 +522,7 @@ def test_every_try_is_counted_also_while_the_form_of_the_reply_is_negotiated(end
     log = MemoryLog()
     assert len(asking(llm_settings(endpoint), log).proposals) == WANTED
     [call] = log.calls.values()
-    assert call.requests == len(endpoint.asked) == 5
+    assert call.calls == len(endpoint.asked) == 5
     assert call.error == (
         "before the reply: json_schema refused (1 try), then schema_in_object refused (1 try), then json_object "
         "refused (1 try), then HTTP 500 (1 try)"
@@ -556,7 +557,7 @@ def test_a_repair_turn_that_is_not_stored_is_repeated(endpoint: Endpoint) -> Non
     endpoint.then(bad, TWO_MORE, TWO_MORE)
     settings, log = llm_settings(endpoint), MemoryLog()
     answer = asking(settings, log)
-    del log.calls[CallKey(3, 1)]
+    del log.calls[3, 1]
     assert asking(settings, log).proposals == answer.proposals
     assert [len(asked.body["messages"]) for asked in endpoint.asked] == [2, 4, 4]
 
@@ -565,15 +566,15 @@ def test_each_request_is_stored_before_it_is_sent(endpoint: Endpoint) -> None:
     log, seen = MemoryLog(), list[tuple[str, int]]()
 
     def record(asked: Asked) -> Response:
-        call = log.calls[CallKey(3, 0)]
-        seen.append((call.outcome, call.requests))
+        call = log.calls[3, 0]
+        seen.append((call.outcome, call.calls))
         return JSONResponse({"error": "busy"}, 503)
 
     endpoint.then(record, cut("x"), record, GOOD)
     answer = asking(llm_settings(endpoint, retries=5), log)
     assert len(answer.proposals) == WANTED
     assert seen == [("sent", 1), ("sent", 3)]
-    assert (log.outcomes, log.calls[CallKey(3, 0)].requests) == (["ok"], 4)
+    assert (log.outcomes, log.calls[3, 0].calls) == (["ok"], 4)
 
 
 def test_requests_lost_when_a_coordinator_stopped_are_counted(endpoint: Endpoint) -> None:
@@ -582,12 +583,17 @@ def test_requests_lost_when_a_coordinator_stopped_are_counted(endpoint: Endpoint
     asking(settings, log)
     (whole,) = log.calls.values()
     lost = worst_usage(settings, question(REQUEST, ROAD, MOST, SYSTEM))
-    log.calls[whole.key] = replace(whole, outcome=Outcome.SENT, raw=None, requests=2, usage=lost * 2)
+    log.calls[3, 0] = changed(whole, outcome=Outcome.SENT, reply=None, calls=2, **asdict(lost * 2))
     assert len(asking(settings, log).proposals) == WANTED
     (call,) = log.calls.values()
-    assert (call.outcome, call.requests, call.raw) == (Outcome.OK, 3, whole.raw)
+    assert (call.outcome, call.calls, call.reply) == (Outcome.OK, 3, whole.reply)
     assert call.error == "2 requests lost when a coordinator stopped"
-    assert call.usage == Usage(prompt_tokens=900, completion_tokens=100) + lost * 2
+    expected = Usage(prompt_tokens=900, completion_tokens=100) + lost * 2
+    assert (call.prompt_tokens, call.completion_tokens, call.estimated) == (
+        expected.prompt_tokens,
+        expected.completion_tokens,
+        True,
+    )
     assert call.cost is not None
     assert whole.cost is not None
     assert call.cost > whole.cost
@@ -618,7 +624,12 @@ def test_the_key_is_never_stored_or_shown(endpoint: Endpoint, caplog: pytest.Log
     assert len(answers[0].proposals) == 2
     assert others.outcomes == ["refused"]
     stored = [*log.calls.values(), *others.calls.values()]
-    for shown in (caplog.text, repr(answers), repr(stored), *(f"{call.raw} {call.error}" for call in stored)):
+    for shown in (
+        caplog.text,
+        repr(answers),
+        repr(stored),
+        *(f"{call.reply} {call.error}" for call in stored),
+    ):
         assert KEY not in shown
     assert all(KEY not in asked.prompt for asked in endpoint.asked)
 
@@ -631,7 +642,7 @@ def test_limits_apply_to_the_whole_campaign(endpoint: Endpoint) -> None:
 
     async def run() -> Answer:
         async with LlmClient(settings, access=access_to(settings)) as client:
-            return await ask(later, road=ROAD, max_participants=MOST, system=SYSTEM, log=log, client=client)
+            return await ask(later, PROBLEM, log, client)
 
     assert asyncio.run(run()).words == "language model not asked: all 1 requests of max_calls are used up"
     assert len(endpoint.asked) == 1
