@@ -17,7 +17,6 @@ from brink.cli.options import (
     Server,
     about_file,
     console,
-    fields,
     plain_table,
     print_json,
     settings_with,
@@ -124,25 +123,19 @@ def dry_run(
     )
     requests = requests if asks_later else 0
     found = estimate(
-        settings,
-        road=problem.road,
-        max_participants=problem.max_participants,
-        system=problem.system,
-        initial=initial,
-        differential=config.seeds,
-        differential_calls=requests,
+        settings, problem, initial=initial, differential=config.seeds, differential_calls=requests
     )
     if as_json:
         print_json(
             {
-                "messages": [fields(one, "role", "content") for one in messages],
-                "differential": [fields(one, "role", "content") for one in differential],
-                "calls": found.calls,
-                "most_calls": found.most_calls,
-                "tokens": found.usage.total,
-                "most_tokens": found.most_usage.total,
-                "cost": found.cost,
-                "most_cost": found.most_cost,
+                "messages": [asdict(one) for one in messages],
+                "differential": [asdict(one) for one in differential],
+                "calls": found.expected.total_calls,
+                "most_calls": found.most.total_calls,
+                "tokens": found.expected.total_tokens,
+                "most_tokens": found.most.total_tokens,
+                "cost": found.expected.cost,
+                "most_cost": found.most.cost,
             }
         )
         return

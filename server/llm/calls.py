@@ -5,6 +5,7 @@ is checked before each request, with the most that the request may use. Unless b
 not 0. Usage that the endpoint does not report counts as the worst case and is marked as an estimate.
 """
 
+import itertools
 import logging
 import math
 import threading
@@ -136,6 +137,10 @@ class Breaker:
         )
 
 
+def _has_failed(call: LlmCall) -> bool:
+    return call.outcome in _FAILED
+
+
 def breaker_after(calls: Sequence[LlmCall], now: datetime) -> Breaker:
     """Return the circuit breaker of a campaign.
 
@@ -143,15 +148,12 @@ def breaker_after(calls: Sequence[LlmCall], now: datetime) -> Breaker:
         calls: Its stored calls, in order.
         now: The time by the clock that dated the calls.
     """
-    failed: list[LlmCall] = []
-    for call in calls:  # those that were not made, or are in progress, say nothing about the endpoint
-        if call.outcome in _USABLE:
-            failed = []
-        elif call.outcome in _FAILED:
-            failed.append(call)
+    # Calls that were not made, or are in progress, say nothing about the endpoint.
+    telling = [call for call in reversed(calls) if call.outcome in _FAILED | _USABLE]
+    failed = list(itertools.takewhile(_has_failed, telling))
     if not failed:
         return Breaker()
-    last, beyond = failed[-1], len(failed) - FAILED_CALLS
+    last, beyond = failed[0], len(failed) - FAILED_CALLS
     cools_s = 0.0
     if beyond >= 0 and last.called_at is not None:
         cool_down_s = min(LONGEST_COOL_DOWN_S, FIRST_COOL_DOWN_S * 2.0 ** min(beyond, 32))

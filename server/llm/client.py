@@ -9,11 +9,11 @@ import logging
 import math
 import time
 from collections.abc import Awaitable, Callable
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from random import Random
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 import httpx
 
@@ -109,7 +109,7 @@ def looser(mode: Mode) -> Mode:
     return modes[modes.index(mode) + 1]
 
 
-class LlmClient:
+class LlmClient(AbstractAsyncContextManager["LlmClient", None]):
     """A client of one endpoint, for use in one event loop.
 
     Args:
@@ -122,6 +122,9 @@ class LlmClient:
         rng: Adds jitter to the pauses.
         clock: Monotonic clock, in seconds.
         now: Returns the current time, to which a Retry-After date is relative.
+
+    Attributes:
+        mode: The strictest form of the reply that the endpoint has not rejected.
     """
 
     def __init__(
@@ -139,13 +142,15 @@ class LlmClient:
     ) -> None:
         self.settings = settings
         self._access = access
-        self._mode = mode
+        self.mode = mode
         self._proven = False
         self._backoff = backoff or Backoff(first_s=1.0, cap_s=30.0)
         self._pause = pause
         self._rng = rng or Random()
         self.clock = clock
         self._now = now
+        self._shortest_try_s = min(SHORTEST_TRY_S, settings.timeout_s, 0.1 * settings.delay_limit_s)
+        self._time_is_up = f"the time for this request is up (max_delay_s, {settings.delay_limit_s:g} s)"
         # Compressed bodies are not accepted: the size limit could not be enforced while reading them.
         self._http = httpx.AsyncClient(
             headers={"Accept": "application/json", "Accept-Encoding": "identity"},
@@ -155,22 +160,8 @@ class LlmClient:
             trust_env=not settings.on_this_machine,
         )
 
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, stack: TracebackType | None
-    ) -> None:
-        await self.aclose()
-
-    async def aclose(self) -> None:
-        """Close the connections."""
+    async def __aexit__(self, *raised: object) -> None:
         await self._http.aclose()
-
-    @property
-    def mode(self) -> Mode:
-        """The strictest form of the reply that the endpoint has not rejected."""
-        return self._mode
 
     async def complete(
         self,
@@ -226,7 +217,7 @@ class LlmClient:
         self, messages: Messages, schema: JsonObject, only: Mode | None, call: _Call
     ) -> Completion:
         """Send a request until it succeeds or fails for good, with looser forms where one is rejected."""
-        effort, mode, failures, detail = call.effort, only or self._mode, 0, ""
+        effort, mode, failures, detail = call.effort, only or self.mode, 0, ""
         while True:
             limit_s = self._time_for_a_try(call, detail)
             body = request_body(self.settings, messages, mode, schema)
@@ -250,7 +241,7 @@ class LlmClient:
                 raise
             else:
                 if only is None:
-                    self._mode, self._proven = mode, True
+                    self.mode, self._proven = mode, True
                 return Completion(
                     reply=reply, latency_s=answer.latency_s, mode=mode, effort=effort, raw=answer.raw
                 )
@@ -260,7 +251,7 @@ class LlmClient:
         """Return whether the endpoint rejects the requested form of the reply."""
         if mode is Mode.PLAIN or httpx.codes.is_success(answer.status):
             return False
-        return rejects_form(answer.status, answer.raw, proven=self._proven and mode is self._mode)
+        return rejects_form(answer.status, answer.raw, proven=self._proven and mode is self.mode)
 
     def _successful(self, answer: _Answer) -> _Answer:
         """Return an answer if it is successful.
@@ -301,14 +292,6 @@ class LlmClient:
     def _check_time(self, left_s: float) -> None:
         if left_s < self._shortest_try_s:
             raise OverBudget(self._time_is_up)
-
-    @property
-    def _shortest_try_s(self) -> float:
-        return min(SHORTEST_TRY_S, self.settings.timeout_s, 0.1 * self.settings.delay_limit_s)
-
-    @property
-    def _time_is_up(self) -> str:
-        return f"the time for this request is up (max_delay_s, {self.settings.delay_limit_s:g} s)"
 
     def _pause_after(self, error: EndpointUnavailable, failures: int, call: _Call) -> float:
         """Return the pause before the next try, in seconds.

@@ -14,7 +14,8 @@ from brink.server.llm.prompts import example, question
 from brink.server.llm.protocol import AccessRefused, EndpointUnavailable, LlmError, Messages, NotSent, Usage
 from brink.server.llm.replies import SCHEMA, RoadChecker, parse, pointed, to_text
 from brink.server.llm.settings import LlmSettings
-from brink.server.seeding import Mode
+from brink.server.problems.base import SupportsSeeds
+from brink.server.seeding import Mode, Spent
 
 _PARTICIPANTS: Final = 2
 _SYSTEM: Final = "an automated car on a road in a town"
@@ -130,57 +131,40 @@ class Estimate:
     """The expected usage of a campaign's calls.
 
     Attributes:
-        calls: Calls without repair turns.
-        most_calls: Calls if each needs a repair turn, limited by ``max_calls``.
-        usage: Tokens of `calls`.
-        most_usage: Tokens of `most_calls` with replies of maximum length.
-        cost: Cost of `usage`; None if a price is unknown.
-        most_cost: Cost of `most_usage`; None if a price is unknown.
+        expected: Calls without repair turns.
+        most: Calls if each needs a repair turn, limited by ``max_calls``, with replies of maximum length.
         solutions_a_reply: Number of solutions that fit into a reply of maximum length.
     """
 
-    calls: int
-    most_calls: int
-    usage: Usage
-    most_usage: Usage
-    cost: float | None
-    most_cost: float | None
+    expected: Spent
+    most: Spent
     solutions_a_reply: int
 
     @property
     def words(self) -> str:
         """The estimate on one line."""
-        cost = "unknown" if self.cost is None else f"{self.cost:.3g}"
-        most = "unknown" if self.most_cost is None else f"{self.most_cost:.3g}"
+        expected, most = self.expected, self.most
+        cost, most_cost = ("unknown" if one.cost is None else f"{one.cost:.3g}" for one in (expected, most))
         return (
-            f"about {self.calls} calls (at most {self.most_calls}), {self.usage.total} tokens (at most "
-            f"{self.most_usage.total}), cost {cost} (at most {most}); a reply has room for about "
+            f"about {expected.total_calls} calls (at most {most.total_calls}), {expected.total_tokens} tokens "
+            f"(at most {most.total_tokens}), cost {cost} (at most {most_cost}); a reply has room for about "
             f"{self.solutions_a_reply} solutions"
         )
 
 
 def estimate(
-    settings: LlmSettings,
-    *,
-    road: RoadLimits,
-    max_participants: int,
-    system: str,
-    initial: int,
-    differential: int,
-    differential_calls: int,
+    settings: LlmSettings, problem: SupportsSeeds, *, initial: int, differential: int, differential_calls: int
 ) -> Estimate:
     """Estimate the usage of a campaign's calls.
 
     Args:
         settings: The model, its prices and limits.
-        road: The road.
-        max_participants: Maximum number of participants in a solution.
-        system: Short description of the system under test.
+        problem: The road, and the system under test.
         initial: Solutions of the first request; 0 if there is none.
         differential: Solutions of each later request.
         differential_calls: Assumed number of later requests.
     """
-    one = example(road, max_participants)
+    one = example(problem.road, problem.max_participants)
     shown = (one,) * _SHOWN
     first = SeedRequest(number=0, count=initial)
     later = SeedRequest(number=1, count=max(differential, 1), exposed=shown, silent=shown)
@@ -188,22 +172,19 @@ def estimate(
     calls = min(firsts + differential_calls, settings.max_calls)
     repairs = min(calls, settings.max_calls - calls)
     a_solution = tokens_of(len(to_text([one])))
-    usage = most_usage = Usage(estimated=True)
+    usage = most = Usage(estimated=True)
     for request, made, repaired in (
         (first, firsts, min(repairs, firsts)),
         (later, calls - firsts, max(repairs - firsts, 0)),
     ):
-        worst = worst_usage(settings, question(request, road, max_participants, system))
+        asked = question(request, problem.road, problem.max_participants, problem.system)
+        worst = worst_usage(settings, asked)
         expected = replace(worst, completion_tokens=min(request.count * a_solution, settings.max_tokens))
         usage += expected * made
         # A repair turn repeats the question and the accepted part of its answer.
-        most_usage += worst * made + replace(worst, prompt_tokens=worst.total) * repaired
+        most += worst * made + replace(worst, prompt_tokens=worst.total) * repaired
     return Estimate(
-        calls=calls,
-        most_calls=calls + repairs,
-        usage=usage,
-        most_usage=most_usage,
-        cost=cost_of(usage, settings),
-        most_cost=cost_of(most_usage, settings),
+        expected=Spent(total_calls=calls, total_tokens=usage.total, cost=cost_of(usage, settings)),
+        most=Spent(total_calls=calls + repairs, total_tokens=most.total, cost=cost_of(most, settings)),
         solutions_a_reply=max(1, settings.max_tokens // a_solution),
     )

@@ -15,7 +15,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Any, Final
 
@@ -241,28 +241,26 @@ def _out_of_range(value: float, low: float, high: float, unit: str) -> str:
 
 def _misfits(one: _ParticipantForm, pointer: str) -> list[FieldError]:
     """Return the errors of a participant whose fields do not suit each other."""
-    errors = []
+    found = []
     fastest = MAX_SPEEDS_MPS[one.kind]
     if one.speed_mps > fastest:
         got = _out_of_range(one.speed_mps, 0.0, fastest, "m/s")
-        message = f"expected a {one.kind} to go at {fastest:g} m/s at most, got {got}"
-        errors.append(FieldError(pointer=f"{pointer}/speed_mps", message=message))
+        found.append(("speed_mps", f"expected a {one.kind} to go at {fastest:g} m/s at most, got {got}"))
     on_foot = one.kind is Kind.PEDESTRIAN
     fitting = PEDESTRIAN_ACTIONS if on_foot else VEHICLE_ACTIONS
     if on_foot and one.heading is Heading.ACROSS:
         message = "expected with_ego or oncoming: pedestrians start along the pavement and turn with the action cross"
-        errors.append(FieldError(pointer=f"{pointer}/heading", message=message))
+        found.append(("heading", message))
     for place, step in enumerate(one.actions):
-        here = f"{pointer}/actions/{place}"
-        room = MAGNITUDES[step.action]
+        here, room = f"actions/{place}", MAGNITUDES[step.action]
         if step.action not in fitting:
             message = f"expected an action of a {one.kind}: {', '.join(fitting)}; got {step.action}"
-            errors.append(FieldError(pointer=f"{here}/action", message=message))
+            found.append((f"{here}/action", message))
         elif room.unit and not room.low <= step.magnitude <= room.high:
             got = _out_of_range(step.magnitude, room.low, room.high, room.unit)
             message = f"expected {room.low:g} to {room.high:g} {room.unit} for {step.action}, got {got}"
-            errors.append(FieldError(pointer=f"{here}/magnitude", message=message))
-    return errors
+            found.append((f"{here}/magnitude", message))
+    return [FieldError(pointer=f"{pointer}/{field}", message=message) for field, message in found]
 
 
 def _participant(one: _ParticipantForm) -> Participant:
@@ -351,30 +349,29 @@ class RoadChecker:
         return FieldError(pointer=f"{pointer}/participants/{place}", message=message)
 
     def _moved(self, wanted: Participant, got: Participant, pointer: str) -> FieldError | None:
+        """Return the error for a participant that repair would change noticeably; None if it would not."""
         heading = heading_of(got.dyaw_rad)
         along_m, aside_m = got.ds_m - wanted.ds_m, got.dd_m - wanted.dd_m
         away_m = math.hypot(along_m, aside_m)
         nearest = (
-            f"the nearest start for this {wanted.kind} is ds_m {got.ds_m:.1f}, dd_m {got.dd_m:.1f}, {heading}"
+            f"; the nearest start for this {wanted.kind} is ds_m {got.ds_m:.1f}, dd_m {got.dd_m:.1f}, {heading}"
             f"{f': {away_m:.1f} m away' if away_m >= 0.05 else ''}"
         )
         if heading is not heading_of(wanted.dyaw_rad):
-            message = f"physically impossible: {self._why_heading(wanted)}; {nearest}"
-            return FieldError(pointer=f"{pointer}/heading", message=message)
-        if away_m > TOLERANCE_M:
-            name = "ds_m" if abs(along_m) >= abs(aside_m) else "dd_m"
-            message = f"physically impossible: {self._why_start(wanted)}; {nearest}"
-            return FieldError(pointer=f"{pointer}/{name}", message=message)
-        if [gene.action for gene in got.genes] != [gene.action for gene in wanted.genes]:
-            message = f"physically impossible: expected actions that a {wanted.kind} can do"
-            return FieldError(pointer=f"{pointer}/actions", message=message)
-        return None
+            field, reason = "heading", self._why_heading(wanted) + nearest
+        elif away_m > TOLERANCE_M:
+            field = "ds_m" if abs(along_m) >= abs(aside_m) else "dd_m"
+            reason = self._why_start(wanted) + nearest
+        elif [gene.action for gene in got.genes] != [gene.action for gene in wanted.genes]:
+            field, reason = "actions", f"expected actions that a {wanted.kind} can do"
+        else:
+            return None
+        return FieldError(pointer=f"{pointer}/{field}", message=f"physically impossible: {reason}")
 
     def _why_heading(self, wanted: Participant) -> str:
-        on_road = self.road.on_carriageway(wanted.dd_m)
         if heading_of(wanted.dyaw_rad) is Heading.ACROSS:
             return "expected across only in a crossing street, off the carriageway"
-        if on_road:
+        if self.road.on_carriageway(wanted.dd_m):
             return "expected nobody to start against the traffic on the ego's own lane"
         return "expected across off the carriageway, where vehicles wait in a crossing street"
 
@@ -419,24 +416,21 @@ class Parsed:
     errors: tuple[FieldError, ...] = ()
 
 
-class _Broken:
-    """Placeholder for an item that cannot be decoded."""
+_BROKEN: Final = object()
+"""In place of an item that cannot be decoded."""
 
 
-_BROKEN: Final = _Broken()
-
-
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class _Scan:
-    """The items of a list. Mutable.
+    """The items of a list.
 
     Attributes:
         items: Decoded values; `_BROKEN` where decoding failed.
         closed: Whether the end of the list was found.
     """
 
-    items: list[object] = field(default_factory=list)
-    closed: bool = False
+    items: list[object]
+    closed: bool
 
     @property
     def decoded(self) -> int:
@@ -491,48 +485,46 @@ def _scan_text(text: str, limit: int) -> _Scan | None:
     """Return the list with the most decodable items, the last of them in a tie; None if there is no list."""
     answer = text.rpartition(_THOUGHTS_END)[2]
     for part in (answer, text):
-        lists = list(itertools.islice(_LIST.finditer(part), _MAX_LISTS)) or [
-            *itertools.islice(_BARE_LIST.finditer(part), 1)
-        ]
-        if lists:
-            scans = [_scan_list(part, found.end(), limit) for found in lists]
+        starts = [found.end() for found in itertools.islice(_LIST.finditer(part), _MAX_LISTS)]
+        if not starts and (bare := _BARE_LIST.search(part)):
+            starts = [bare.end()]
+        if starts:
+            scans = [_scan(part, start, limit) for start in starts]
             return max(reversed(scans), key=lambda scan: scan.decoded)
         if _ITEM.search(part):
-            return _scan_loose_items(part, limit)
+            return _scan(part, 0, limit, loose=True)
     return None
 
 
-def _scan_list(text: str, start: int, limit: int) -> _Scan:
-    """Return the items of the list that begins at an index; after a broken item, continue at the next item."""
-    scan, at, broken = _Scan(), start, 0
-    while len(scan.items) < limit and broken < _MAX_BROKEN:
-        between = _BETWEEN.match(text, at)
-        at = between.end() if between else at
+def _scan(text: str, at: int, limit: int, *, loose: bool = False) -> _Scan:
+    """Return items; after a broken one, continue at the next that can be recognised.
+
+    Args:
+        text: The text.
+        at: Index of the first item.
+        limit: Maximum number of items.
+        loose: Whether the items are in no list, so that any text may be between them.
+    """
+    items: list[object] = []
+    broken = 0
+    while len(items) < limit and broken < _MAX_BROKEN:
+        if loose and (following := _ITEM.search(text, at)):
+            at = following.start()
+        elif loose:
+            break
+        elif between := _BETWEEN.match(text, at):
+            at = between.end()
         if text[at : at + 1] in ("]", ""):
-            scan.closed = at < len(text)
-            return scan
+            return _Scan(items, closed=at < len(text))
         try:
             item, at = decode_json_at(text, at)
         except BadJson:
-            item, broken = _BROKEN, broken + 1
-        scan.items.append(item)
-        if item is _BROKEN:
+            items.append(_BROKEN)
+            broken += 1
             following = _ITEM.search(text, at + 1)
             if following is None:
-                return scan
+                return _Scan(items, closed=False)
             at = following.start()
-    scan.closed = broken < _MAX_BROKEN
-    return scan
-
-
-def _scan_loose_items(text: str, limit: int) -> _Scan:
-    """Return items that are not in a list."""
-    scan, at, broken = _Scan(), 0, 0
-    while len(scan.items) < limit and broken < _MAX_BROKEN and (found := _ITEM.search(text, at)):
-        try:
-            item, at = decode_json_at(text, found.start())
-        except BadJson:
-            item, at, broken = _BROKEN, found.end(), broken + 1
-        scan.items.append(item)
-    scan.closed = not broken
-    return scan
+        else:
+            items.append(item)
+    return _Scan(items, closed=not broken if loose else broken < _MAX_BROKEN)

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from brink.server.errors import InvalidInput
+from brink.server.llm.access import LlmAccess
 from brink.server.llm.settings import LlmSettings
 from brink.server.seeding import Seeder
 
 if TYPE_CHECKING:
     from brink.server.db.engine import Engines
     from brink.server.db.writer import Writer
-    from brink.server.llm.access import LlmAccess
     from brink.server.llm.seeds import LlmSeeds
     from brink.server.problems.base import Problem
 
@@ -44,14 +44,12 @@ class LanguageModels:
         if uses_model and not isinstance(problem, SupportsSeeds):
             raise InvalidInput.at("/problem/id", f"{problem.id} cannot be described to a language model")
 
-    def access(self, allowed: str) -> "LlmAccess":
+    def access(self, allowed: str) -> LlmAccess:
         """Return what the setting ``BRINK_LLM_ENDPOINTS`` allows."""
-        from brink.server.llm.access import LlmAccess
-
         return LlmAccess.parse(allowed)
 
     def source(
-        self, engines: "Engines", writer: "Writer", on_seeds: Callable[[str], None], access: "LlmAccess"
+        self, engines: "Engines", writer: "Writer", on_seeds: Callable[[str], None], access: LlmAccess
     ) -> "LlmSeeds":
         """Return what asks language models on behalf of a coordinator's campaigns."""
         from brink.server.llm.seeds import LlmSeeds

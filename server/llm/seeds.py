@@ -26,7 +26,7 @@ from brink.search.algorithm import Origin, Proposal, SeedRequest
 from brink.search.traffic.participants import Solution
 from brink.server.db.engine import Engines
 from brink.server.db.writer import Writer
-from brink.server.errors import FieldError, Unavailable
+from brink.server.errors import Unavailable
 from brink.server.llm.access import LlmAccess
 from brink.server.llm.calls import (
     Breaker,
@@ -116,6 +116,44 @@ async def ask(request: SeedRequest, problem: SupportsSeeds, log: CallLog, client
     return Answer(proposals=tuple(proposals), words=_summary(request.count, first, second))
 
 
+@dataclass(frozen=True, slots=True)
+class _Sending:
+    """A call that is being made.
+
+    Attributes:
+        sent: The call, with the requests of a coordinator that stopped before the reply.
+        others: The other calls of the campaign.
+        messages: The prompt.
+        settings: The limits and prices.
+        log: Where the call is stored.
+    """
+
+    sent: LlmCall
+    others: Sequence[LlmCall]
+    messages: Messages
+    settings: LlmSettings
+    log: CallLog
+
+    @property
+    def worst(self) -> Usage:
+        """The most that one request may use."""
+        return worst_usage(self.settings, self.messages)
+
+    def after(self, effort: Effort, *replies: Usage) -> LlmCall:
+        """Return the call after some requests, of which each lost one counts as the worst case."""
+        lost = [self.worst * effort.lost] if effort.lost else []
+        return using(self.sent, self.settings, effort.requests, *lost, *replies)
+
+    def before_request(self, effort: Effort) -> None:
+        """Check the budget, and store the next request with its worst-case usage, in case the process stops.
+
+        Raises:
+            OverBudget: The budget does not allow it.
+        """
+        check_budget(spent_on([*self.others, self.after(effort)]), self.settings, self.messages)
+        self.log.store(self.after(Effort(requests=effort.requests + 1, lost=effort.lost + 1)))
+
+
 class _Turns:
     """Makes the calls of one request, or finds them in the log.
 
@@ -163,78 +201,47 @@ class _Turns:
                 "Brink or for another campaign: continue with that version, or start the campaign again"
             )
         if call.outcome is Outcome.SENT:
-            call = await self._made(call, others, breaker_after(stored, now), messages, wanted, known)
+            sending = _Sending(call, others, messages, self._client.settings, self._log)
+            call = await self._made(sending, breaker_after(stored, now), wanted, known)
             self._log.store(call)
         return _Turn(call, self._parse(call.reply, wanted, known)[0])
 
     async def _made(
-        self,
-        sent: LlmCall,
-        others: Sequence[LlmCall],
-        breaker: Breaker,
-        messages: Messages,
-        wanted: int,
-        known: Sequence[Solution],
+        self, sending: _Sending, breaker: Breaker, wanted: int, known: Sequence[Solution]
     ) -> LlmCall:
-        """Make a call, storing each request with its worst-case usage before it is sent, in case the process stops.
+        """Make a call.
 
         Args:
-            sent: The call, with the requests of a coordinator that stopped before the reply.
-            others: The other calls of the campaign.
+            sending: The call.
             breaker: The circuit breaker.
-            messages: The prompt.
             wanted: Number of solutions.
             known: Solutions that were accepted already.
         """
-        client, settings = self._client, self._client.settings
-        worst = worst_usage(settings, messages)
-
-        def after(effort: Effort, *replies: Usage) -> LlmCall:
-            """Return the call after some requests."""
-            lost = [worst * effort.lost] if effort.lost else []
-            return using(sent, settings, effort.requests, *lost, *replies)
-
-        def before_request(effort: Effort) -> None:
-            check_budget(spent_on([*others, after(effort)]), settings, messages)
-            self._log.store(after(Effort(requests=effort.requests + 1, lost=effort.lost + 1)))
-
+        sent, client = sending.sent, self._client
         if breaker.cools_s > 0:
             return _ended(sent, Outcome.CIRCUIT_OPEN, breaker.words)
-        stopped = sent.calls and f"{_count(sent.calls, 'request')} lost when a coordinator stopped"
+        noun = "request" if sent.calls == 1 else "requests"
+        stopped = f"{sent.calls} {noun} lost when a coordinator stopped" if sent.calls else ""
         try:
             completion = await client.complete(
-                messages,
+                sending.messages,
                 SCHEMA,
-                tries=1 if breaker.on_trial else max(1, settings.retries + 1 - sent.calls),
+                tries=1 if breaker.on_trial else max(1, client.settings.retries + 1 - sent.calls),
                 deadline_s=self._deadline_s,
-                before_request=before_request,
+                before_request=sending.before_request,
             )
         except LlmError as error:
-            before = (
-                breaker.failed and isinstance(error, OverBudget) and f"the last call failed: {breaker.error}"
-            )
-            return _ended(
-                after(error.effort),
-                error.outcome,
-                stopped,
-                str(error),
-                before,
-                mode=client.mode,
-                reply=error.raw,
-                latency_s=error.effort.elapsed_s,
-            )
-        effort = completion.effort
-        _, outcome, trouble = self._parse(completion.raw, wanted, known)
-        return _ended(
-            after(effort, completion.reply.usage or worst),
-            outcome,
-            stopped,
-            effort.words and f"before the reply: {effort.words}",
-            trouble,
-            mode=completion.mode,
-            reply=completion.raw,
-            latency_s=completion.latency_s,
-        )
+            call = sending.after(error.effort)
+            given = {"mode": client.mode, "reply": error.raw, "latency_s": error.effort.elapsed_s}
+            again = breaker.failed and isinstance(error, OverBudget)
+            before = f"the last call failed: {breaker.error}" if again else ""
+            return _ended(call, error.outcome, stopped, str(error), before, **given)
+        effort, raw = completion.effort, completion.raw
+        call = sending.after(effort, completion.reply.usage or sending.worst)
+        given = {"mode": completion.mode, "reply": raw, "latency_s": completion.latency_s}
+        failures = f"before the reply: {effort.words}" if effort.failures else ""
+        _, outcome, trouble = self._parse(raw, wanted, known)
+        return _ended(call, outcome, stopped, failures, trouble, **given)
 
     def _parse(self, raw: str | None, wanted: int, known: Sequence[Solution]) -> tuple[Parsed, Outcome, str]:
         """Return the content of a new or stored reply, its outcome, and its errors."""
@@ -245,7 +252,9 @@ class _Turns:
         parsed = parse(reply.text, self._road, wanted, known)
         if reply.refusal and not parsed.solutions:
             return parsed, Outcome.DECLINED, "the model or a content filter declined to answer"
-        trouble = _join_errors(parsed.errors)
+        more = len(parsed.errors) - _ERRORS_SHOWN
+        trouble = "; ".join(map(pointed, parsed.errors[:_ERRORS_SHOWN]))
+        trouble += f"; and {more} more" if more > 0 else ""
         outcome = Outcome.OK if parsed.solutions else Outcome.INVALID
         if reply.truncated:
             limit = f"the reply reached max_tokens ({self._client.settings.max_tokens})"
@@ -254,64 +263,36 @@ class _Turns:
         return parsed, outcome, trouble
 
 
-def _ended(call: LlmCall, outcome: Outcome, *words: object, **changes: object) -> LlmCall:
+def _ended(call: LlmCall, outcome: Outcome, *words: str, **changes: object) -> LlmCall:
     """Return a call with its outcome.
 
     Args:
         call: The call.
         outcome: The outcome.
-        words: What went wrong; what is empty is left out.
+        words: What went wrong; empty parts are left out.
         changes: Other fields that change.
     """
-    error = "; ".join(str(part) for part in words if part)[:_ERROR_CHARS] or None
+    error = "; ".join(filter(None, words))[:_ERROR_CHARS] or None
     return call.model_copy(update={"outcome": outcome, "error": error, **changes})
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def _join_errors(errors: Sequence[FieldError]) -> str:
-    more = len(errors) - _ERRORS_SHOWN
-    text = "; ".join(map(pointed, errors[:_ERRORS_SHOWN]))
-    return f"{text}; and {more} more" if more > 0 else text
 
 
 def _summary(count: int, first: _Turn, second: _Turn | None) -> str:
     """Summarise a request on one line."""
-    call = first.call
-    match call.outcome:
-        case Outcome.UNAVAILABLE | Outcome.REFUSED:
-            return f"language model unavailable: {call.error}"
-        case Outcome.OVER_BUDGET | Outcome.CIRCUIT_OPEN:
-            return f"language model not asked: {call.error}"
-        case Outcome.DECLINED:
-            return f"language model: 0 of {count} usable ({call.error})"
-        case _:
-            pass
+    outcome, error = first.call.outcome, first.call.error
+    if outcome in (Outcome.UNAVAILABLE, Outcome.REFUSED):
+        return f"language model unavailable: {error}"
+    if outcome in (Outcome.OVER_BUDGET, Outcome.CIRCUIT_OPEN):
+        return f"language model not asked: {error}"
     usable = len(first.parsed.solutions)
-    repaired = len(second.parsed.solutions) if second is not None else 0
-    words = f"language model: {usable + repaired} of {count} usable"
-    if second is not None:
-        words += f", {repaired} after repair"
-    notes = ["reply truncated"] if call.outcome is Outcome.TRUNCATED else []
-    if second is not None and not second.parsed.solutions:
-        notes.append(f"repair {second.call.outcome}: {second.call.error}")
-    elif usable + repaired == 0 and call.error:
-        notes.append(call.error)
+    notes = ["reply truncated"] if outcome is Outcome.TRUNCATED else []
+    if second is None:
+        words = f"language model: {usable} of {count} usable"
+        notes += [error] if error and not usable else []
+    else:
+        repaired = len(second.parsed.solutions)
+        words = f"language model: {usable + repaired} of {count} usable, {repaired} after repair"
+        notes += [] if repaired else [f"repair {second.call.outcome}: {second.call.error}"]
     return f"{words} ({'; '.join(notes)})" if notes else words
-
-
-@dataclass(slots=True)
-class _Pending:
-    """A request in progress."""
-
-    words: str
-    thread: threading.Thread
-
-
-class _ClaimLost(Exception):
-    """Another coordinator holds the claim now."""
 
 
 class LlmSeeds:
@@ -333,7 +314,7 @@ class LlmSeeds:
         self._access = access
         self._owner = secrets.token_hex(8)
         self._lock = threading.Lock()
-        self._pending: dict[str, _Pending] = {}
+        self._pending: dict[str, threading.Thread] = {}
         self._answers: dict[tuple[str, int], Sequence[Proposal]] = {}
         self._stopping = threading.Event()
 
@@ -343,11 +324,11 @@ class LlmSeeds:
             self._stopping.set()
             pending = dict(self._pending)
         deadline = time.monotonic() + LAST_ANSWERS_S
-        for campaign_id, one in pending.items():
+        for campaign_id, thread in pending.items():
             about = {"campaign": campaign_id}
-            log.info("%s; waiting up to %g s for the answer", one.words, LAST_ANSWERS_S, extra=about)
-            one.thread.join(max(0.0, deadline - time.monotonic()))
-            if one.thread.is_alive():
+            log.info("%s; waiting up to %g s for the answer", thread.name, LAST_ANSWERS_S, extra=about)
+            thread.join(max(0.0, deadline - time.monotonic()))
+            if thread.is_alive():
                 log.warning("no answer; the request will be repeated, and counted twice", extra=about)
         self._release(None)
 
@@ -372,15 +353,16 @@ class LlmSeeds:
                 return None
         if pending is not None or not self._claim(campaign_id).result():
             return None
-        words = f"asking {settings.model} for {request.count} solutions"
-        # A daemon thread: a model that never answers must not prevent the coordinator from stopping.
         thread = threading.Thread(
-            target=self._ask, args=(campaign_id, settings, problem, request), name="seeds", daemon=True
+            target=self._ask,
+            args=(campaign_id, settings, problem, request),
+            name=f"asking {settings.model} for {request.count} solutions",
+            daemon=True,  # a model that never answers must not prevent the coordinator from stopping
         )
         with self._lock:
             stopping = self._stopping.is_set()
             if not stopping:
-                self._pending[campaign_id] = _Pending(words, thread)
+                self._pending[campaign_id] = thread
                 thread.start()
         if stopping:
             self._release(campaign_id)
@@ -394,7 +376,7 @@ class LlmSeeds:
         """Describe the request that a campaign waits for; None if this coordinator has none in progress."""
         with self._lock:
             pending = self._pending.get(campaign_id)
-        return None if pending is None else pending.words
+        return None if pending is None else pending.name
 
     def _claim(self, campaign_id: str) -> Future[bool]:
         return self._writer.submit(lambda connection: claim(connection, campaign_id, self._owner, HOLD_S))
@@ -407,8 +389,6 @@ class LlmSeeds:
         about = {"campaign": campaign_id}
         try:
             answer = asyncio.run(self._answer_while_claimed(campaign_id, settings, problem, request))
-        except _ClaimLost:
-            log.warning("another coordinator now asks for its seeds", extra=about)
         except (Unavailable, DBAPIError) as error:
             log.warning("%s; its seeds will be requested again", error, extra=about)
         except CallLogMismatch as error:
@@ -433,12 +413,8 @@ class LlmSeeds:
 
     async def _answer_while_claimed(
         self, campaign_id: str, settings: LlmSettings, problem: SupportsSeeds, request: SeedRequest
-    ) -> Sequence[Proposal]:
-        """Obtain the seeds while renewing the claim, even if the campaign is paused.
-
-        Raises:
-            _ClaimLost: Another coordinator holds the claim.
-        """
+    ) -> Sequence[Proposal] | None:
+        """Return the seeds; None if another coordinator holds the claim, which is renewed even during a pause."""
         answering = asyncio.create_task(self._answer(campaign_id, settings, problem, request))
         while not (await asyncio.wait({answering}, timeout=HOLD_S / 3))[0]:
             try:
@@ -446,8 +422,9 @@ class LlmSeeds:
             except (Unavailable, DBAPIError):
                 continue  # no other coordinator can claim it either
             if not held:
+                log.warning("another coordinator now asks for its seeds", extra={"campaign": campaign_id})
                 answering.cancel()
-                raise _ClaimLost
+                return None
         return answering.result()
 
     async def _answer(

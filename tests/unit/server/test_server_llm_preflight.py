@@ -1,6 +1,7 @@
 """What is known before a campaign starts: whether an endpoint works, what calls cost, and what the budget allows."""
 
 import asyncio
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -110,26 +111,30 @@ def test_no_limit_is_ever_exceeded(replies: list[int], tokens: int, calls: int, 
 def estimated(**changes: Any) -> Estimate:
     numbers = {"initial": 50, "differential": 10, "differential_calls": 5}
     numbers |= {name: changes.pop(name) for name in list(changes) if name in numbers}
-    return estimate(settings(**changes), road=RoadLimits(), max_participants=4, system="a car", **numbers)
+    problem = SimpleNamespace(road=RoadLimits(), max_participants=4, system="a car")
+    return estimate(settings(**changes), problem, **numbers)
 
 
 def test_an_estimate_covers_the_first_and_the_later_requests() -> None:
     found = estimated()
-    assert (found.calls, found.most_calls) == (6, 12)
-    assert 6 * 500 < found.usage.total < found.most_usage.total
-    assert found.usage.completion_tokens <= 6 * 1000
-    assert found.usage.estimated
-    assert found.cost is found.most_cost is None
+    assert (found.expected.total_calls, found.most.total_calls) == (6, 12)
+    assert 6 * 500 < found.expected.total_tokens < found.most.total_tokens
+    assert found.expected.cost is found.most.cost is None
     assert "cost unknown (at most unknown)" in found.words
-    assert estimated(initial=0).calls == 5
-    assert estimated(differential_calls=0).calls == 1
-    assert estimated(initial=0, differential_calls=0).usage.total == 0
-    assert estimated(differential_calls=10**9, max_calls=10**6).calls == 10**6
+    assert estimated(initial=0).expected.total_calls == 5
+    assert estimated(differential_calls=0).expected.total_calls == 1
+    assert estimated(initial=0, differential_calls=0).expected.total_tokens == 0
+    assert estimated(differential_calls=10**9, max_calls=10**6).expected.total_calls == 10**6
 
 
 def test_an_estimate_respects_max_calls() -> None:
-    assert (estimated(max_calls=8).calls, estimated(max_calls=8).most_calls) == (6, 8)
-    assert (estimated(max_calls=3).calls, estimated(max_calls=3).most_calls) == (3, 3)
+    for limit, expected, most in ((8, 6, 8), (3, 3, 3)):
+        found = estimated(max_calls=limit)
+        assert (found.expected.total_calls, found.most.total_calls) == (expected, most)
+    priced = estimated(max_calls=8, **PRICES)
+    assert priced.expected.cost is not None
+    assert priced.most.cost is not None
+    assert 0 < priced.expected.cost < priced.most.cost
 
 
 pytestmark = pytest.mark.timeout(30)
