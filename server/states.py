@@ -41,6 +41,28 @@ class SolutionVerdict(StrEnum):
     FAILED = "failed"
 
 
+class FollowUpKind(StrEnum):
+    """The question of a follow-up; its module in `brink.server.campaigns.follow_ups.kinds` has the same name."""
+
+    CONFIRM = "confirm"
+    """How often is each solution unsafe with other seeds?"""
+    COMPONENT = "component"
+    """Is each solution unsafe with ground truth in place of the component, in the same episode?"""
+    MINIMISE = "minimise"
+    """Which differences between the two solutions of each pair matter?"""
+
+
+class Selection(StrEnum):
+    """How the solutions of a follow-up were chosen."""
+
+    BOUNDARY = "boundary"
+    """The distinct boundary at two thresholds."""
+    NUMBERS = "numbers"
+    """Named by a user, by number."""
+    PAIRS = "pairs"
+    """Sides of pairs across the boundary."""
+
+
 class Scope(StrEnum):
     """The access that a token grants.
 

@@ -4,19 +4,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from brink.api.client import Api
-from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
-from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED
 from brink.server.findings.boundary.repeat_views import RepeatsView
 from brink.server.findings.follow_ups import FollowUpView
-from brink.server.states import CampaignStatus
+from brink.server.states import CampaignStatus, FollowUpKind
 
 OPEN: Final = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
-SIMULATED: Final = {
-    FollowUpKind.CONFIRM: "both sides of each pair with other seeds",
-    FollowUpKind.COMPONENT: "each unsafe side with ground truth in place of the component",
-    FollowUpKind.MINIMISE: "each unsafe side without one difference at a time",
-}
-"""What each kind of follow-up simulates."""
 
 
 def follow_up_requests(

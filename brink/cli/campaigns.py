@@ -230,7 +230,7 @@ _LISTED = (
     "unsafe",
     "failed",
     "created_at",
-    "repeats_of",
+    "follow_up_of",
     "tags",
     "follow_ups",
 )
@@ -248,7 +248,7 @@ async def _list_campaigns(api: Api, asked: dict[str, Any], place: str, *, follow
     )
     depth: dict[str | None, int] = {}
     for one in campaigns:
-        depth[one["id"]] = depth.get(one["repeats_of"], -1) + 1
+        depth[one["id"]] = depth.get(one["follow_up_of"], -1) + 1
         table.add_row(
             one["id"],
             "  " * depth[one["id"]] + one["name"],

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
-from brink.api.follow_ups import OPEN, SIMULATED, continue_follow_up, follow_up_options, follow_up_requests
+from brink.api.follow_ups import OPEN, continue_follow_up, follow_up_options, follow_up_requests
 from brink.api.live import FollowUpsDisplay, Steps
 from brink.cli.local import CommandSession, run_locally, stopping
 from brink.cli.options import plain_table, settings_with, with_api
@@ -22,11 +22,11 @@ from brink.report.experiment_pairs import (
 from brink.search.analysis.pair_comparison import PairCounts, PairRepeat, pair_standings, problems_of
 from brink.server.api.experiment_pairs import ExperimentPairs, PairRepeatView
 from brink.server.api.schemas import ExperimentView
+from brink.server.campaigns.follow_ups.question import questions
 from brink.server.campaigns.plan import make_plan
-from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.problems.catalogue import check_extra
-from brink.server.states import CampaignStatus
+from brink.server.states import CampaignStatus, FollowUpKind
 
 
 async def fetch_experiment_pairs(
@@ -141,12 +141,10 @@ async def run_follow_ups(
         api, pairs, screen, confirm=confirm, component=component, stop=session.stop
     )
     if any(one.status in OPEN for one in asked):
-        kinds = [kind for kind in SIMULATED if any(one.kind is kind for one in asked)]
+        kinds = {one.kind for one in asked}
+        simulated = " and ".join(each.simulates for each in questions() if each.kind in kinds)
         total = sum(one.budget for one in asked)
-        screen.print(
-            f"simulating {' and '.join(SIMULATED[kind] for kind in kinds)}: {total:,} simulations",
-            soft_wrap=True,
-        )
+        screen.print(f"simulating {simulated}: {total:,} simulations", soft_wrap=True)
         paths = [f"/campaigns/{one.campaign}" for one in asked]
         with FollowUpsDisplay(screen) as display:
             progress = await session.follow(pairs.id, display, paths)

@@ -16,16 +16,11 @@ from brink.report.pair_pictures import write_pair
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import TooManyPairs
 from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH
+from brink.server.campaigns.follow_ups.kinds.confirm import DEFAULT_CONFIRMATIONS
 from brink.server.campaigns.pairs import PairSettings
 from brink.server.campaigns.plan import with_truth
 from brink.server.errors import InvalidInput
-from brink.server.findings.pairs.views import (
-    DEFAULT_CONFIRMATIONS,
-    MOST_PAIRS,
-    ComponentPart,
-    PairsView,
-    PairView,
-)
+from brink.server.findings.pairs.views import MOST_PAIRS, ComponentPart, PairsView, PairView
 from brink.server.problems.catalogue import make_problem
 from brink.server.problems.requirements import ANY
 from brink.sim.errors import SimulatorError

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from brink.api.client import Api
-from brink.api.follow_ups import OPEN, SIMULATED, follow_up_options, follow_up_requests
+from brink.api.follow_ups import OPEN, follow_up_options, follow_up_requests
 from brink.api.terminal import echo
 from brink.cli.local import CommandSession, check_extra_of, run_locally, stopping
 from brink.cli.options import (
@@ -30,12 +30,11 @@ from brink.cli.pair_pictures import PICTURES, check_file, chosen_pair, draw_pair
 from brink.cli.pair_tables import print_pairs
 from brink.cli.results_folder import update_pairs
 from brink.report.pair_pictures import FILMS
-from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
-from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, question_of
 from brink.server.errors import InvalidInput
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.pairs.views import MOST_PAIRS, Minimality, PairsView
-from brink.server.states import CampaignStatus
+from brink.server.states import CampaignStatus, FollowUpKind
 
 PAIRS_SHOWN = 20
 
@@ -227,8 +226,8 @@ def _follow_up(
             found = await _ask(api, campaign, request, screen)
             if found is not None and found.status in OPEN:
                 screen.print(
-                    f"campaign {found.campaign} simulates them ({SIMULATED[found.kind]}); the same command shows "
-                    "what is known so far",
+                    f"campaign {found.campaign} simulates them ({question_of(found.kind).simulates}); the same "
+                    "command shows what is known so far",
                     soft_wrap=True,
                 )
 
@@ -282,7 +281,7 @@ async def _run(
             if not started:
                 session.processes.start(workers)
                 started = True
-            session.screen.print(f"simulating {SIMULATED[view.kind]}", soft_wrap=True)
+            session.screen.print(f"simulating {question_of(view.kind).simulates}", soft_wrap=True)
             progress = await session.finish_follow_up(view)
             complete = complete and progress.status is CampaignStatus.FINISHED
             if session.stop.is_set():

@@ -30,9 +30,9 @@ from brink.cli.options import (
 )
 from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.follow_ups.kinds.confirm import DEFAULT_CONFIRMATIONS
 from brink.server.findings.boundary.repeat_views import RepeatedSolution, RepeatsView
 from brink.server.findings.boundary.repeats import DEFAULT_REPEATS
-from brink.server.findings.pairs.views import DEFAULT_CONFIRMATIONS
 from brink.server.states import CampaignStatus
 
 SOLUTIONS_SHOWN = 20
@@ -127,7 +127,7 @@ async def _latest(api: Api, campaign: str, request: dict[str, Any]) -> RepeatsVi
     given_up = (CampaignStatus.CANCELLED, CampaignStatus.FAILED)
     for one in reversed(await api.read(list[RepeatsView], f"/campaigns/{campaign}/repeats")):
         same = all(getattr(one, name) == value for name, value in request.items())
-        if one.boundary and same and one.status not in given_up:
+        if same and one.status not in given_up:
             return one
     return None
 

@@ -15,13 +15,13 @@ from brink.search.analysis.dependence import ParameterColumn
 from brink.search.odd import odd_words
 from brink.search.parameters import Categorical
 from brink.search.space import FloatArray
-from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.campaigns.follow_ups.question import question_of
 from brink.server.findings.finding import Role, Term
 from brink.server.findings.table import share_text
 from brink.server.findings.words import counted, full_sentence
 from brink.server.problems.catalogue import ODD, is_baseline
 from brink.server.problems.changes import as_sentence
-from brink.server.states import CampaignStatus, OutcomeKind
+from brink.server.states import CampaignStatus, OutcomeKind, Selection
 from brink.sim.catalogue import REQUIREMENTS, load_plugin
 from brink.sim.errors import SimulatorError
 
@@ -55,21 +55,11 @@ def others_recorded(facts: Facts) -> bool:
     return bool(recorded.keys() - set(facts.fetched.outcomes.requirements))
 
 
-_FOLLOW_UPS: Final = {
-    FollowUpKind.CONFIRM: "Brink simulated {many} of {of} again, with other random numbers, to see how often each is "
-    "unsafe.",
-    FollowUpKind.COMPONENT: "Brink simulated unsafe {many} of {of} again, with ground truth in place of the "
-    "component.",
-    FollowUpKind.MINIMISE: "Brink reverted differences between {many} of {of} one by one, to find those that matter.",
-}
-"""What follow-ups ask."""
-
-
 def purpose(facts: Facts) -> str:
     """Return what the campaign asked, in a sentence for people who have never seen Brink."""
     many, of = f"{facts.noun}s", facts.finding.of
     if of is not None:
-        return _FOLLOW_UPS[of.kind].format(many=many, of=f"campaign {of.campaign} ({of.name})")
+        return question_of(of.kind).purpose.format(many=many, of=f"campaign {of.campaign} ({of.name})")
     if is_baseline(facts.view.body.algorithm.id):
         return f"Brink drew {many} at random, as a baseline for searches that choose them."
     return next((one.purpose for one in facts.finding.findings), "")
@@ -184,7 +174,11 @@ def trust(facts: Facts, pictures: Mapping[str, KindPictures]) -> list[Term]:
         terms.append(Term(term="Chance", words="Verdicts are computed, and other seeds do not change them."))
     else:
         terms += [term for one in facts.found for term in one.trust]
-        terms += [Term(term="Repeats", words=as_sentence(one.words)) for one in facts.repeats if one.boundary]
+        terms += [
+            Term(term="Repeats", words=as_sentence(one.words))
+            for one in facts.repeats
+            if one.selection is Selection.BOUNDARY
+        ]
         if not terms:
             words = "Nothing has been simulated again with other seeds, so chance may explain a verdict."
             terms.append(Term(term="Repeats", words=words))

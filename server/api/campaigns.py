@@ -457,7 +457,7 @@ class Overview(View):
     created_at: list[datetime]
     finished_at: list[datetime | None]
     experiment: Annotated[list[str | None], Field(description="Experiment that the campaign belongs to.")]
-    repeats_of: Annotated[list[str | None], Field(description="Campaign that this one follows up.")]
+    follow_up_of: Annotated[list[str | None], Field(description="Campaign that this one follows up.")]
     follow_ups: Annotated[list[int], Field(description="Number of follow-ups, listed or not.")]
     open_follow_ups: Annotated[list[int], Field(description="Number of follow-ups that have not ended.")]
     tags: list[list[str]]
@@ -563,7 +563,7 @@ def _overview(
             "created_at",
             "finished_at",
             "experiment",
-            "repeats_of",
+            "follow_up_of",
             "tags",
         )
     }

@@ -40,7 +40,7 @@ from brink.server.api.schemas import (
     MemberView,
     RepeatView,
 )
-from brink.server.campaigns.repeats import read_pair_campaigns
+from brink.server.campaigns.follow_ups.store import read_pair_campaigns
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.db.engine import read
 from brink.server.db.writer import Trouble

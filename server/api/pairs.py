@@ -15,13 +15,14 @@ from brink.server.api.responses import (
     not_modified,
     set_created,
 )
-from brink.server.campaigns.follow_ups import plan_component, plan_minimisation, read_seeds, sides_of
+from brink.server.campaigns.follow_ups.question import AskedPairs, question_of
+from brink.server.campaigns.follow_ups.same_episodes import read_seeds
+from brink.server.campaigns.follow_ups.store import read_follow_ups
 from brink.server.campaigns.pairs import PairSettings
-from brink.server.campaigns.repeats import EVERY_D_TH, EVERY_T_B, FollowUpKind, read_follow_ups
 from brink.server.campaigns.store import ENDED
 from brink.server.db.engine import read
 from brink.server.errors import Conflict, InvalidInput
-from brink.server.findings.follow_ups import FollowUpView
+from brink.server.findings.follow_ups import FollowUpView, follow_up_view
 from brink.server.findings.pairs.analysis import pairs_view
 from brink.server.findings.pairs.table import pairs_file
 from brink.server.findings.pairs.views import DEFAULT_PAIRS, MOST_PAIRS, FollowUpBody, PairsView
@@ -110,31 +111,11 @@ async def follow_up_pairs(
         raise Conflict(
             f"campaign {campaign.id} has no pair at eps {pairs.settings.eps:g}, d_th {pairs.settings.d_th:g}"
         )
-    kind = FollowUpKind(body.kind)
-    if kind is FollowUpKind.CONFIRM:
-        again, new = await services.campaigns.repeat(
-            campaign,
-            found.plan,
-            found.archive,
-            repeats=body.repeats,
-            t_b=EVERY_T_B,
-            d_th=EVERY_D_TH,
-            numbers=sides_of(chosen),
-            until_decided=True,
-        )
-    else:
-        numbers = [pair.unsafe.number for pair in chosen]
-        seeds = await read(services.engines, lambda c: read_seeds(c, campaign.id, numbers))
-        plan_it = plan_component if kind is FollowUpKind.COMPONENT else plan_minimisation
-        again, new = await services.campaigns.follow_up(
-            campaign, lambda: plan_it(campaign, found.plan, found.archive, chosen, seeds)
-        )
-    set_created(response, f"campaigns/{again.id}", new=new)
-    return FollowUpView(
-        kind=kind,
-        campaign=again.id,
-        status=again.status,
-        status_reason=again.status_reason,
-        simulations=again.completed,
-        budget=again.budget,
+    asked = AskedPairs(campaign=campaign, plan=found.plan, archive=found.archive, pairs=chosen)
+    numbers = [pair.unsafe.number for pair in chosen]
+    seeds = await read(services.engines, lambda c: read_seeds(c, campaign.id, numbers))
+    again, new = await services.campaigns.follow_up(
+        campaign, lambda: question_of(body.kind).plan(asked, seeds, body.repeats)
     )
+    set_created(response, f"campaigns/{again.id}", new=new)
+    return follow_up_view(body.kind, again)

@@ -10,7 +10,8 @@ from brink.server.api.context import Services
 from brink.server.api.responses import set_created
 from brink.server.api.schemas import MAX_NUMBER
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.repeats import MOST, read_repeats
+from brink.server.campaigns.follow_ups.follow_up import MOST
+from brink.server.campaigns.follow_ups.store import read_follow_ups
 from brink.server.documents import Body
 from brink.server.findings.boundary.repeat_views import RepeatsView
 from brink.server.findings.boundary.repeats import DEFAULT_REPEATS, count_distinct, repeats_view
@@ -89,7 +90,8 @@ async def get_repeats(campaign_id: str, services: Services) -> list[RepeatsView]
 
 async def _views(services: Services, campaign_id: str) -> list[RepeatsView]:
     campaign = await services.campaigns.get(campaign_id)
-    stored = await services.pages.read(services.engines, lambda c: read_repeats(c, campaign.id))
+    follow_ups = await services.pages.read(services.engines, lambda c: read_follow_ups(c, campaign.id))
+    stored = [one for one in follow_ups if one.repeats is not None]
     if not stored:
         return []
     found = await services.archives.get(campaign)

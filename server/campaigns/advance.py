@@ -34,6 +34,9 @@ from brink.search.errors import OtherVersion
 from brink.search.metric import METRIC_VERSION
 from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.follow_ups.follow_up import PlannedFollowUp
+from brink.server.campaigns.follow_ups.kinds.confirm import plan_boundary_repeats
+from brink.server.campaigns.follow_ups.store import store_follow_up
 from brink.server.campaigns.known import read_known
 from brink.server.campaigns.live_searches import MIB, LiveSearches
 from brink.server.campaigns.others import OtherCoordinators
@@ -49,7 +52,6 @@ from brink.server.campaigns.plan import (
     start_search,
     vector_bytes,
 )
-from brink.server.campaigns.repeats import PlannedRepeats, plan_boundary_repeats, store_repeats
 from brink.server.campaigns.result_check import UNREADABLE, evaluate
 from brink.server.campaigns.simulators import other_simulator
 from brink.server.campaigns.step_store import (
@@ -385,7 +387,7 @@ class Stepper:
         def unit(connection: Connection) -> bool:
             written = step_store.write_step(connection, step)
             if written and repeats is not None:
-                store_repeats(connection, repeats)
+                store_follow_up(connection, repeats)
             return written
 
         if not self._writer.submit(unit).result():
@@ -475,7 +477,7 @@ class Stepper:
             sha256=hashlib.sha256(data).hexdigest(),
         )
 
-    def _repeats(self, campaign: Campaign, plan: Plan, archive: Archive) -> PlannedRepeats | None:
+    def _repeats(self, campaign: Campaign, plan: Plan, archive: Archive) -> PlannedFollowUp | None:
         """Return the repeats that the campaign's body asks for after the search, if any."""
         repeats = campaign.body.repeats
         if not repeats:

@@ -27,10 +27,10 @@ from brink.server.db.models import (
     CampaignRow,
     DistanceBlockRow,
     ExperimentCampaignRow,
+    FollowUpRow,
     GenerationRow,
     KnownSolutionRow,
     LlmCallRow,
-    RepeatsRow,
     SolutionRow,
     ViolationNameRow,
 )
@@ -78,9 +78,9 @@ _MEMBERS: Final = (
     .order_by(CampaignRow.id)
 )
 _FOLLOW_UPS: Final = (
-    select(RepeatsRow.campaign_id, RepeatsRow.of_id)
-    .where(in_list(RepeatsRow.of_id, "ids"))
-    .order_by(RepeatsRow.campaign_id)
+    select(FollowUpRow.campaign_id, FollowUpRow.of_id)
+    .where(in_list(FollowUpRow.of_id, "ids"))
+    .order_by(FollowUpRow.campaign_id)
 )
 
 
@@ -139,7 +139,7 @@ def mark_deleted(connection: Connection, roots: Sequence[str]) -> list[TreeMembe
     values = {"deleted_at": database_now(connection), "idempotency_key": None, "sequence": NEXT_SEQUENCE}
     ids = {"ids": gone}
     connection.execute(update(CampaignRow).where(in_list(CampaignRow.id, "ids")).values(values), ids)
-    connection.execute(delete(RepeatsRow).where(in_list(RepeatsRow.campaign_id, "ids")), ids)
+    connection.execute(delete(FollowUpRow).where(in_list(FollowUpRow.campaign_id, "ids")), ids)
     connection.execute(
         delete(ExperimentCampaignRow).where(in_list(ExperimentCampaignRow.campaign_id, "ids")), ids
     )

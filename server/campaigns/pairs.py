@@ -1,10 +1,6 @@
-"""The pairs across the boundary in a campaign's archive, and the results of their follow-ups.
+"""The pairs across the boundary in a campaign's archive."""
 
-Follow-ups are campaigns of their own (`brink.server.campaigns.repeats`).
-"""
-
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import InitVar, dataclass, field
 from typing import Final
@@ -12,7 +8,6 @@ from typing import Final
 import numpy as np
 
 from brink.search.algorithms.minimise import most_trials
-from brink.search.analysis.confirmation import Confirmation, Share, confirmation_of
 from brink.search.analysis.pairs import FoundPairs, Opposites, Pair, find_pairs, nearest_opposites
 from brink.search.archive import Archive
 from brink.search.errors import TooManyPairs
@@ -20,9 +15,10 @@ from brink.search.space import BoolArray, IntArray
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import CACHED, ReadArchive, read_activity
 from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH
-from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED, reducible
+from brink.server.campaigns.follow_ups.follow_up import MOST
+from brink.server.campaigns.follow_ups.kinds.minimise import reducible_pairs
+from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, Reducible
 from brink.server.campaigns.plan import Plan
-from brink.server.campaigns.repeats import MOST, FollowUpKind, StoredRepeats
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.db.engine import Engines
 from brink.server.errors import InvalidInput, NotFound
@@ -62,17 +58,14 @@ class CampaignPairs:
         settings: Which solutions are a pair, and which pairs are distinct.
         found: The pairs.
         nearest: The nearest solutions with opposite verdicts, if none are near enough for a pair.
-        reducible: Of the first `MOST` pairs, those of which a difference can be reverted; None while the campaign has
-            not ended.
-        most_trials: Largest number of simulations that reverting the differences of the first `MOST_PAIRS_FOLLOWED`
-            pairs can take; 0 while the campaign has not ended.
+        reducible: Of the first `MOST` pairs, those of which a difference can be reverted, and what that takes for the
+            first `MOST_PAIRS_FOLLOWED`; None while the campaign has not ended.
     """
 
     settings: PairSettings
     found: FoundPairs
     nearest: Opposites | None
-    reducible: frozenset[tuple[int, int]] | None
-    most_trials: int
+    reducible: Reducible | None
 
 
 @dataclass(slots=True)
@@ -122,26 +115,20 @@ class Pairs:
             if found.tight or found.without_part
             else nearest_opposites(read.archive, read.plan.problem.space)
         )
-        if (
-            campaign.status not in ENDED
-        ):  # nothing can be reverted yet, and the next generation changes the pairs
-            return CampaignPairs(
-                settings=settings, found=found, nearest=nearest, reducible=None, most_trials=0
-            )
-        pairs = found.pairs[:MOST]
-        _, reductions = reducible(read.plan, read.archive, pairs[:MOST_PAIRS_FOLLOWED])
-        return CampaignPairs(
-            settings=settings,
-            found=found,
-            nearest=nearest,
-            reducible=find_reducible(read.plan, read.archive, pairs),
-            most_trials=most_trials(reductions),
+        # Before it has ended, nothing can be reverted, and the next generation changes the pairs.
+        reducible = self._reducible(read, found.pairs[:MOST]) if campaign.status in ENDED else None
+        return CampaignPairs(settings=settings, found=found, nearest=nearest, reducible=reducible)
+
+    def _reducible(self, read: ReadArchive, pairs: Sequence[Pair]) -> Reducible:
+        _, reductions = reducible_pairs(read.plan, read.archive, pairs[:MOST_PAIRS_FOLLOWED])
+        return Reducible(
+            pairs=find_reducible(read.plan, read.archive, pairs), most_trials=most_trials(reductions)
         )
 
 
 def find_reducible(plan: Plan, archive: Archive, pairs: Sequence[Pair]) -> frozenset[tuple[int, int]]:
     """Return the pairs with a difference that can be reverted, by the numbers of their two sides."""
-    open_pairs, _ = reducible(plan, archive, pairs)
+    open_pairs, _ = reducible_pairs(plan, archive, pairs)
     return frozenset((pair.safe.number, pair.unsafe.number) for pair in open_pairs)
 
 
@@ -180,65 +167,3 @@ def find_stored_pairs(
         seeds=seeds,
         had_part=had_part if plan.problem.records_activity else None,
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Repeated:
-    """The results of repeats of the sides of pairs.
-
-    Attributes:
-        shares: How often each repeated solution was unsafe with other seeds, by number.
-        under_way: Numbers of the solutions that are being simulated again.
-    """
-
-    shares: Mapping[int, Share]
-    under_way: frozenset[int]
-
-    @classmethod
-    def of(cls, stored: Sequence[StoredRepeats]) -> "Repeated":
-        """Return the results of a campaign's repeats, ignoring other kinds of follow-ups."""
-        again = [one for one in stored if one.kind is FollowUpKind.CONFIRM]
-        return cls(
-            shares=shares_of(again),
-            under_way=frozenset(
-                number for one in again if one.campaign.status not in ENDED for number in one.numbers
-            ),
-        )
-
-    def shares_of(self, safe: int, unsafe: int) -> tuple[Share, Share]:
-        """Return how often both sides of a pair were unsafe, by their numbers."""
-        none = Share.of(0, 0)
-        return self.shares.get(safe, none), self.shares.get(unsafe, none)
-
-    def state(self, safe: int, unsafe: int) -> Confirmation:
-        """Return whether both sides of a pair keep their verdicts with other seeds, or may turn out to."""
-        return confirmation_of(
-            *self.shares_of(safe, unsafe), pending=safe in self.under_way or unsafe in self.under_way
-        )
-
-
-def shares_of(stored: Sequence[StoredRepeats]) -> Mapping[int, Share]:
-    """Return how often each repeated solution was unsafe, over all repeats of a campaign, by number."""
-    evaluated: Counter[int] = Counter()
-    unsafe: Counter[int] = Counter()
-    failed: Counter[int] = Counter()
-    for repeats in stored:
-        for place, verdict in repeats.drives():
-            number = repeats.numbers[place]
-            failed[number] += verdict is None
-            evaluated[number] += verdict is not None
-            unsafe[number] += bool(verdict)
-    return {number: Share.of(unsafe[number], evaluated[number], failed[number]) for number in evaluated}
-
-
-def blames_scenario(stored: Sequence[StoredRepeats]) -> Mapping[int, bool]:
-    """Return, by number, whether each solution that was simulated with ground truth is then unsafe, too.
-
-    Args:
-        stored: The follow-ups of a campaign that ask whether its component is to blame, oldest first.
-    """
-    found: dict[int, bool] = {}
-    for one in stored:
-        for place, unsafe in zip(one.evaluated, one.unsafe, strict=True):
-            found.setdefault(one.numbers[place], unsafe)
-    return found

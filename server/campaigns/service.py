@@ -19,18 +19,15 @@ from brink.server.campaigns.advance import Scheduler
 from brink.server.campaigns.body import CampaignBody, CampaignChange
 from brink.server.campaigns.checks import CheckThreads, Choice
 from brink.server.campaigns.deletion import Eraser, TreeMember, mark_deleted, read_trees
+from brink.server.campaigns.follow_ups.follow_up import PlannedFollowUp
+from brink.server.campaigns.follow_ups.kinds.confirm import plan_boundary_repeats, plan_named_repeats
+from brink.server.campaigns.follow_ups.store import store_follow_up
 from brink.server.campaigns.plan import (
     Plan,
     PreparedCampaign,
     check_repeatable,
     prepare_campaign,
     store_campaigns,
-)
-from brink.server.campaigns.repeats import (
-    PlannedRepeats,
-    plan_boundary_repeats,
-    plan_named_repeats,
-    store_repeats,
 )
 from brink.server.campaigns.simulators import other_simulator
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
@@ -364,7 +361,6 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
         t_b: float,
         d_th: float,
         numbers: Sequence[int] | None = None,
-        until_decided: bool = False,
     ) -> tuple[Campaign, bool]:
         """Repeat solutions of a campaign with other seeds, in a separate campaign.
 
@@ -376,8 +372,6 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
             t_b: Maximum fitness of the solutions of its distinct boundary.
             d_th: Minimum distance between two of them.
             numbers: Distinct numbers of solutions to repeat instead of the boundary.
-            until_decided: Whether to simulate each of these only until its verdict is confirmed or refuted, at most
-                `repeats` times.
 
         Returns:
             The campaign of the repeats, and whether it is new.
@@ -391,11 +385,9 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
             raise Conflict(f"campaign {campaign.id} is {campaign.status}: {why}")
         check_repeatable(plan)
 
-        def look() -> PlannedRepeats:
+        def look() -> PlannedFollowUp:
             if numbers is not None:
-                return plan_named_repeats(
-                    campaign, plan, archive, repeats=repeats, numbers=numbers, until_decided=until_decided
-                )
+                return plan_named_repeats(campaign, plan, archive, repeats=repeats, numbers=numbers)
             found = plan_boundary_repeats(campaign, plan, archive, repeats=repeats, t_b=t_b, d_th=d_th)
             if found is None:
                 raise Conflict(
@@ -406,7 +398,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
         return await self.follow_up(campaign, look)
 
     async def follow_up(
-        self, campaign: Campaign, plan_it: Callable[[], PlannedRepeats]
+        self, campaign: Campaign, plan_it: Callable[[], PlannedFollowUp]
     ) -> tuple[Campaign, bool]:
         """Store and start a follow-up of a campaign, unless there is an identical one.
 
@@ -430,7 +422,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
         def unit(connection: Connection) -> tuple[Campaign, bool, Sequence[str]]:
             # Locked, so that identical follow-ups are not stored at the same time.
             self.table.get(connection, campaign.id, lock=True)
-            found, new = store_repeats(connection, planned)
+            found, new = store_follow_up(connection, planned)
             return found, new, idle_campaigns(connection, [found.id])
 
         found, new, idle = await self.writer.write(unit)

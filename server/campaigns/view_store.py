@@ -347,16 +347,6 @@ def read_episodes(connection: Connection, campaign_id: str) -> dict[int, tuple[i
     return {row.number: (row.seed, row.spec_hash) for row in connection.execute(query)}
 
 
-def read_failed(connection: Connection, campaign_id: str) -> list[int]:
-    """Return the numbers of the solutions of a campaign that have no verdict because their simulations failed."""
-    query = select(SolutionRow.number).where(
-        SolutionRow.campaign_id == campaign_id,
-        SolutionRow.verdict == SolutionVerdict.FAILED,
-        is_told(campaign_id),
-    )
-    return [row.number for row in connection.execute(query)]
-
-
 def read_measured(connection: Connection, campaign_id: str) -> list[tuple[bytes, Mapping[str, float]]]:
     """Return the vectors of the solutions that were measured on a data set, ascending, with their objectives."""
     query = (

@@ -15,8 +15,8 @@ from threading import RLock
 from typing import Any, Final
 
 from brink.server.campaigns.archives import Archives
+from brink.server.campaigns.follow_ups.question import question_of
 from brink.server.campaigns.plan import Plan, finds_of, make_plan
-from brink.server.campaigns.repeats import SINGLE
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.dashboard.overview import Outline
 from brink.server.errors import InvalidInput, NotFound, TooCostly, Unavailable
@@ -105,8 +105,8 @@ class FoundWords:
                 self._kept.pop(self._found.popitem(last=False)[0], None)
 
     def _work_out(self, one: Outline) -> Found:
-        if one.repeats_of is not None:
-            return _found_by_follow_up(one)
+        if one.kind is not None:  # a follow-up
+            return Found(words=question_of(one.kind).brief(one.evaluated, one.unsafe))
         with self.archives.engines.reader.connect() as connection:
             campaign = CAMPAIGNS.find(connection, one.id)
         if campaign is None:
@@ -141,10 +141,3 @@ def found_so_far(algorithm: str, boundary: Sequence[int]) -> Found:
 def _version(one: Outline) -> object:
     """Return a version that changes whenever the summary may change."""
     return one.sequence, one.follow_ups.sequence
-
-
-def _found_by_follow_up(one: Outline) -> Found:
-    """Return the summary of a follow-up; empty for kinds whose answers appear with the campaign they belong to."""
-    if one.repeats != SINGLE:
-        return Found()
-    return Found(words=f"{one.evaluated - one.unsafe:,} of {one.evaluated:,} safe with ground truth")

@@ -11,9 +11,9 @@ from typing import Any, Final
 from sqlalchemy import ColumnElement, Connection, Select, and_, case, func, select
 
 from brink.server.campaigns.store import ENDED, labelled, read_tags
-from brink.server.db.models import CampaignRow, ExperimentCampaignRow, GenerationRow, RepeatsRow
+from brink.server.db.models import CampaignRow, ExperimentCampaignRow, FollowUpRow, GenerationRow
 from brink.server.db.sql import in_list, newest_first
-from brink.server.states import CampaignStatus
+from brink.server.states import CampaignStatus, FollowUpKind
 
 POINTS: Final = 24
 """Maximum number of points of a sparkline."""
@@ -53,8 +53,8 @@ class Outline:
 
     Attributes:
         experiment: The experiment it belongs to, if any.
-        repeats_of: The campaign that it follows up, if any: whose solutions it repeats, for example.
-        repeats: Stored number of repeats if it is a follow-up, which says what it asks.
+        follow_up_of: The campaign that it follows up, if any.
+        kind: What it asks if it is a follow-up.
     """
 
     id: str
@@ -74,8 +74,8 @@ class Outline:
     created_at: datetime
     finished_at: datetime | None
     experiment: str | None
-    repeats_of: str | None
-    repeats: int | None
+    follow_up_of: str | None
+    kind: FollowUpKind | None
     tags: list[str]
     follow_ups: FollowUpCounts
 
@@ -119,7 +119,7 @@ class Chosen:
             found.append(ExperimentCampaignRow.experiment_id == self.experiment)
         found.append(row.deleted_at.is_(None))
         if not self.follow_ups:
-            found.append(RepeatsRow.campaign_id.is_(None))
+            found.append(FollowUpRow.campaign_id.is_(None))
         if words := labelled((), self.search):
             found.append(and_(*words) | row.id.startswith(self.search.strip().lower(), autoescape=True))
         return found
@@ -162,12 +162,12 @@ def with_follow_ups(
         return list(outlines)
     row = CampaignRow
     query = _with_columns(select(row.__table__).order_by(row.created_at, row.id).limit(MOST_UNFOLDED))
-    found = _outlines(connection, query.where(RepeatsRow.of_id.in_(parents)))
+    found = _outlines(connection, query.where(FollowUpRow.of_id.in_(parents)))
     below: dict[str, list[Outline]] = {}
     parent = ""
     for one in with_follow_ups(connection, found, unfolded):
-        if one.repeats_of in parents:  # otherwise it follows up the follow-up before it
-            parent = one.repeats_of
+        if one.follow_up_of in parents:  # otherwise it follows up the follow-up before it
+            parent = one.follow_up_of
         below.setdefault(parent, []).append(one)
     return [each for one in outlines for each in (one, *below.get(one.id, ()))]
 
@@ -193,18 +193,18 @@ def _with_columns(page: Select[Any]) -> Select[Any]:
         row.created_at,
         row.finished_at,
         ExperimentCampaignRow.experiment_id.label("experiment"),
-        RepeatsRow.of_id.label("repeats_of"),
-        RepeatsRow.repeats,
+        FollowUpRow.of_id.label("follow_up_of"),
+        FollowUpRow.kind,
     )
     return _joined(wanted)
 
 
 def _joined(query: Select[Any]) -> Select[Any]:
-    """Return a query of campaigns joined with their experiments and the campaigns that they repeat."""
+    """Return a query of campaigns joined with their experiments and the campaigns that they follow up."""
     row = CampaignRow
     return query.outerjoin_from(
         row.__table__, ExperimentCampaignRow.__table__, ExperimentCampaignRow.campaign_id == row.id
-    ).outerjoin(RepeatsRow.__table__, RepeatsRow.campaign_id == row.id)
+    ).outerjoin(FollowUpRow.__table__, FollowUpRow.campaign_id == row.id)
 
 
 def _outlines(connection: Connection, query: Select[Any]) -> list[Outline]:
@@ -216,6 +216,7 @@ def _outlines(connection: Connection, query: Select[Any]) -> list[Outline]:
             **{
                 **one._mapping,
                 "status": CampaignStatus(one.status),
+                "kind": None if one.kind is None else FollowUpKind(one.kind),
                 "tags": tagged[one.id],
                 "follow_ups": followed.get(one.id, FollowUpCounts()),
             }
@@ -226,14 +227,14 @@ def _outlines(connection: Connection, query: Select[Any]) -> list[Outline]:
 
 _FOLLOW_UPS: Final = (
     select(
-        RepeatsRow.of_id,
+        FollowUpRow.of_id,
         func.count().label("all"),
         func.sum(case((CampaignRow.status.in_(ENDED), 0), else_=1)).label("open"),
         func.sum(CampaignRow.sequence).label("sequence"),
     )
-    .join(CampaignRow, CampaignRow.id == RepeatsRow.campaign_id)
-    .where(in_list(RepeatsRow.of_id, "campaigns"))
-    .group_by(RepeatsRow.of_id)
+    .join(CampaignRow, CampaignRow.id == FollowUpRow.campaign_id)
+    .where(in_list(FollowUpRow.of_id, "campaigns"))
+    .group_by(FollowUpRow.of_id)
 )
 
 

@@ -29,7 +29,15 @@ from sqlalchemy import (
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from brink.server.db.types import Reason, UtcDateTime
-from brink.server.states import CampaignStatus, JobKind, JobStatus, Scope, SolutionVerdict
+from brink.server.states import (
+    CampaignStatus,
+    FollowUpKind,
+    JobKind,
+    JobStatus,
+    Scope,
+    Selection,
+    SolutionVerdict,
+)
 
 JobId = BigInteger().with_variant(Integer(), "sqlite")
 
@@ -150,16 +158,29 @@ class ExperimentCampaignRow(Base):
     problem: Mapped[str] = mapped_column(String(100))
 
 
-class RepeatsRow(Base):
-    """A campaign that repeats solutions of another campaign with other seeds."""
+class FollowUpRow(Base):
+    """A campaign that asks something about solutions of another campaign."""
 
-    __tablename__ = "repeats"
+    __tablename__ = "follow_ups"
+    __table_args__ = (
+        _one_of("kind", FollowUpKind),
+        _one_of("selection", Selection),
+        CheckConstraint(
+            "(selection = 'boundary') = (t_b IS NOT NULL) AND (selection = 'boundary') = (d_th IS NOT NULL)",
+            name="thresholds_of_boundary",
+        ),
+        CheckConstraint("(kind = 'confirm') = (repeats IS NOT NULL)", name="repeats_confirm"),
+        CheckConstraint("repeats >= 2", name="repeats_count"),
+    )
 
     campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
     of_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), index=True)
-    t_b: Mapped[float]
-    d_th: Mapped[float]
-    repeats: Mapped[int] = mapped_column(Integer)
+    kind: Mapped[str] = mapped_column(String(16))
+    selection: Mapped[str] = mapped_column(String(16))
+    t_b: Mapped[float | None]
+    d_th: Mapped[float | None]
+    repeats: Mapped[int | None] = mapped_column(Integer)
+    """Most simulations of each solution, with other seeds."""
     numbers: Mapped[list[int]] = mapped_column(JSON)
 
 

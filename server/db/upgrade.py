@@ -79,7 +79,10 @@ def upgrade(engines: Engines) -> tuple[str | None, str]:
         head = head_revision()
         if before != head:
             _run(connection)
-        return before, head
+    if before != head:
+        # Migrations drop tables, and with them psycopg drops all prepared statements of its connection.
+        engines.writer.dispose()
+    return before, head
 
 
 def _run(connection: Connection) -> None:

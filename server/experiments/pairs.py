@@ -15,9 +15,11 @@ from brink.search.analysis.pair_comparison import DistinctPair, PairCounts, Pair
 from brink.search.errors import TooManyPairs
 from brink.search.sequential import FIRST
 from brink.server.campaigns.archives import Archives
-from brink.server.campaigns.pairs import PairSettings, blames_scenario, find_stored_pairs, shares_of
+from brink.server.campaigns.follow_ups.kinds.component import blames_scenario
+from brink.server.campaigns.follow_ups.kinds.confirm import shares_of
+from brink.server.campaigns.follow_ups.store import read_follow_ups
+from brink.server.campaigns.pairs import PairSettings, find_stored_pairs
 from brink.server.campaigns.plan import check_repeatable, make_plan, with_truth
-from brink.server.campaigns.repeats import FollowUpKind, read_follow_ups
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.db.engine import Engines, read
 from brink.server.errors import FieldError, InvalidInput
@@ -190,7 +192,4 @@ def _counts(connection: Connection, campaign: str, pairs: Sequence[DistinctPair]
     if not pairs:
         return PairCounts.of([], {}, {})
     ended = [one for one in read_follow_ups(connection, campaign) if one.campaign.status in ENDED]
-    of_kind = {kind: [one for one in ended if one.kind is kind] for kind in FollowUpKind}
-    return PairCounts.of(
-        pairs, shares_of(of_kind[FollowUpKind.CONFIRM]), blames_scenario(of_kind[FollowUpKind.COMPONENT])
-    )
+    return PairCounts.of(pairs, shares_of(ended), blames_scenario(ended))

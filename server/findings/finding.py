@@ -5,9 +5,9 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.table import Table
+from brink.server.states import FollowUpKind
 from brink.server.views import View
 
 

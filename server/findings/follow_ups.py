@@ -4,8 +4,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from brink.server.campaigns.repeats import FollowUpKind, StoredRepeats
-from brink.server.states import CampaignStatus
+from brink.server.campaigns.store import Campaign
+from brink.server.states import CampaignStatus, FollowUpKind
 from brink.server.views import View
 
 
@@ -38,11 +38,10 @@ class FollowUpView(View):
     budget: int
 
 
-def follow_up_view(stored: StoredRepeats) -> FollowUpView:
-    """Return the response schema of a follow-up."""
-    campaign = stored.campaign
+def follow_up_view(kind: FollowUpKind, campaign: Campaign) -> FollowUpView:
+    """Return the response schema of a follow-up, which a campaign simulates."""
     return FollowUpView(
-        kind=stored.kind,
+        kind=kind,
         campaign=campaign.id,
         status=campaign.status,
         status_reason=campaign.status_reason,

@@ -20,8 +20,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from brink.server import findings
 from brink.server.campaigns.archives import Archives, ReadArchive
+from brink.server.campaigns.follow_ups.follow_up import StoredFollowUp
 from brink.server.campaigns.plan import Plan
-from brink.server.campaigns.repeats import StoredRepeats
 from brink.server.campaigns.store import Campaign
 from brink.server.documents import invalid_input
 from brink.server.findings.finding import Finding, Role, Step
@@ -61,7 +61,7 @@ class Subject:
     sources: Sources
     campaign: Campaign
     read: ReadArchive
-    stored: Sequence[StoredRepeats]
+    stored: Sequence[StoredFollowUp]
     role: Role
     rows: int
     settings: Any = None

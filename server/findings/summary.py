@@ -10,8 +10,10 @@ from sqlalchemy import Connection
 
 from brink.search.algorithm import WarmStarts
 from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.follow_ups.follow_up import StoredFollowUp
+from brink.server.campaigns.follow_ups.question import question_of
+from brink.server.campaigns.follow_ups.store import followed_by, read_follow_ups
 from brink.server.campaigns.outcomes import CampaignOutcomes
-from brink.server.campaigns.repeats import FollowUpKind, StoredRepeats, followed_by, read_follow_ups
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.errors import NotFound
 from brink.server.findings.boundary.repeats import count_distinct, repeats_view
@@ -108,7 +110,7 @@ class _Known:
     campaign: Campaign
     read_archive: ReadArchive
     kinds: Mapping[Kind, Role]
-    stored: Sequence[StoredRepeats]
+    stored: Sequence[StoredFollowUp]
     outcomes: CampaignOutcomes
     reported: tuple[int, int]
     of: FollowedView | None
@@ -163,11 +165,11 @@ class _Known:
 
 def _followed(connection: Connection, campaign: Campaign) -> FollowedView | None:
     """Return the campaign that a campaign follows up; None if it is no follow-up."""
-    found = followed_by(connection, campaign.id)
-    of = None if found is None else CAMPAIGNS.find(connection, found[0])
-    if found is None or of is None:
+    asks = followed_by(connection, campaign.id)
+    of = None if asks is None else CAMPAIGNS.find(connection, asks.of_id)
+    if asks is None or of is None:
         return None
-    return FollowedView(campaign=of.id, name=of.body.name, kind=found[1])
+    return FollowedView(campaign=of.id, name=of.body.name, kind=asks.kind)
 
 
 async def _sentences(known: _Known, found: Sequence[Finding]) -> tuple[str, list[str]]:
@@ -209,18 +211,15 @@ def _nothing_yet(known: _Known) -> str:
 
 async def _follow_up_words(known: _Known, followed: FollowedView) -> str:
     """Summarise a follow-up."""
-    sources, campaign = known.sources, known.campaign
-    if followed.kind is FollowUpKind.CONFIRM:
-        of = await sources.pages.read(sources.engines, lambda c: CAMPAIGNS.get(c, followed.campaign))
-        archive = await sources.archives.get(of)
-        stored = await sources.pages.read(sources.engines, lambda c: read_follow_ups(c, of.id))
-        own = next(one for one in stored if one.campaign.id == campaign.id)
-        distinct = await count_distinct(sources, of, own, archive)
-        return repeats_view(of, own, archive, distinct).words
-    counts = f"{campaign.unsafe:,} of {campaign.evaluated:,} drives"
-    if followed.kind is FollowUpKind.COMPONENT:
-        return f"with ground truth in place of the component, {counts} were unsafe all the same"
-    return f"with some of their differences reverted, {counts} were still unsafe"
+    sources, campaign, question = known.sources, known.campaign, question_of(followed.kind)
+    if question.repeats is None:
+        return question.showed.format(counts=f"{campaign.unsafe:,} of {campaign.evaluated:,} drives")
+    of = await sources.pages.read(sources.engines, lambda c: CAMPAIGNS.get(c, followed.campaign))
+    archive = await sources.archives.get(of)
+    stored = await sources.pages.read(sources.engines, lambda c: read_follow_ups(c, of.id))
+    own = next(one for one in stored if one.campaign.id == campaign.id)
+    distinct = await count_distinct(sources, of, own, archive)
+    return repeats_view(of, own, archive, distinct).words
 
 
 def _steps(known: _Known, found: Sequence[Finding]) -> list[Step]:

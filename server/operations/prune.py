@@ -14,7 +14,7 @@ from sqlalchemy import Connection, func, select
 
 from brink.server.campaigns.deletion import TreeMember, mark_deleted, read_trees
 from brink.server.campaigns.store import ENDED
-from brink.server.db.models import CampaignRow, ExperimentCampaignRow, RepeatsRow, SolutionRow
+from brink.server.db.models import CampaignRow, ExperimentCampaignRow, FollowUpRow, SolutionRow
 from brink.server.db.sql import database_now
 from brink.server.queue.job_store import delete_traces
 
@@ -67,7 +67,7 @@ def _old_trees(connection: Connection, moment: datetime) -> list[str]:
         .order_by(CampaignRow.finished_at, CampaignRow.id)
     )
     campaigns = connection.execute(query).all()
-    links = select(RepeatsRow.campaign_id, RepeatsRow.of_id)
+    links = select(FollowUpRow.campaign_id, FollowUpRow.of_id)
     above: dict[str, str] = {row.campaign_id: row.of_id for row in connection.execute(links)}
     memberships = select(ExperimentCampaignRow.campaign_id, ExperimentCampaignRow.experiment_id)
     experiments: dict[str, str] = {

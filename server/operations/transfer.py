@@ -5,7 +5,7 @@ JSON Lines for each table (`solutions.jsonl`), and arrays in NumPy's format (`ar
 ``numpy.load`` can read. Nothing in it is ever executed.
 
 Follow-ups, such as repeats, are campaigns as well, and may have follow-ups themselves. The members of each are in a
-folder (`follow-ups/3f2a90c1/solutions.jsonl`), and `repeats.jsonl` says what each asks. Files of campaigns without
+folder (`follow-ups/3f2a90c1/solutions.jsonl`), and `follow_ups.jsonl` says what each asks. Files of campaigns without
 follow-ups have neither.
 
 Imported files are not trusted. `brink.server.operations.export_file` bounds what is read of them. Everything in them
@@ -36,8 +36,10 @@ from sqlalchemy.exc import DataError, IntegrityError
 from brink import __version__
 from brink.search.errors import ConfigError
 from brink.server.campaigns.body import DEFAULT_MAX_LOSSES, MOST_TAGS, search_text
+from brink.server.campaigns.follow_ups.follow_up import FollowUp
+from brink.server.campaigns.follow_ups.question import question_of
+from brink.server.campaigns.follow_ups.store import insert_follow_up
 from brink.server.campaigns.plan import Plan, make_plan, restored_archive
-from brink.server.campaigns.repeats import is_follow_up
 from brink.server.campaigns.step_store import read_archive
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign, stored_body
 from brink.server.db.models import (
@@ -46,11 +48,11 @@ from brink.server.db.models import (
     CampaignTagRow,
     CheckpointRow,
     DistanceBlockRow,
+    FollowUpRow,
     GenerationRow,
     JobRow,
     KnownSolutionRow,
     LlmCallRow,
-    RepeatsRow,
     SolutionRow,
     TraceRow,
     ViolationNameRow,
@@ -214,7 +216,7 @@ def _export(connection: Connection, members: _Members, campaign_id: str) -> dict
     for link in links:
         counts.update(_Export(connection, members, link.campaign_id, link.folder).run())
     if links:
-        counts["repeats"] = len(links)
+        counts["follow_ups"] = len(links)
         with members.member(LINKS) as member:
             for link in links:
                 member.write(link.model_dump_json().encode() + b"\n")
@@ -226,8 +228,8 @@ def _links(connection: Connection, campaign_id: str) -> list[Link]:
     """Return the follow-ups of a campaign and their own, each after the campaign it is about."""
     found, waiting = list[Link](), [campaign_id]
     while waiting:
-        own = RepeatsRow.of_id == waiting.pop(0)
-        query = select(RepeatsRow.__table__).where(own).order_by(RepeatsRow.campaign_id)
+        own = FollowUpRow.of_id == waiting.pop(0)
+        query = select(FollowUpRow.__table__).where(own).order_by(FollowUpRow.campaign_id)
         links = [Link.model_validate(dict(row)) for row in connection.execute(query).mappings()]
         found += links
         waiting += [link.campaign_id for link in links]
@@ -324,15 +326,23 @@ def _import(
     for place, link in enumerate(links, start=1):
         one = _Import(connection, file, access, link.campaign_id, link.folder)
         counts.update(one.run())
-        _check_link(connection, one.plan, link, f"{LINKS}, line {place}")
-        connection.execute(insert(RepeatsRow).values(link.model_dump()))
+        asks = link.asks(one.plan.body)
+        _check_follow_up(connection, one.plan, link.folder, asks, f"{file.links_member}, line {place}")
+        insert_follow_up(connection, link.campaign_id, asks)
     if links:
-        counts["repeats"] = len(links)
+        counts["follow_ups"] = len(links)
     return (file.campaign, *(link.campaign_id for link in links)), counts
 
 
-def _check_link(connection: Connection, plan: Plan, link: Link, where: str) -> None:
-    """Check that an imported campaign can be the follow-up that a link says it is; `where` names its line in errors.
+def _check_follow_up(connection: Connection, plan: Plan, folder: str, asks: FollowUp, where: str) -> None:
+    """Check that an imported campaign can be the follow-up that the file says it is.
+
+    Args:
+        connection: Where its campaign is stored.
+        plan: Plan of the imported campaign.
+        folder: Where the file has it, for errors.
+        asks: What it asks.
+        where: The line of the file that says so, for errors.
 
     Raises:
         BadFile: It is none, or asks about other solutions.
@@ -340,18 +350,18 @@ def _check_link(connection: Connection, plan: Plan, link: Link, where: str) -> N
     try:
         plan.algorithm.check(plan.problem.space, plan.config, budget=plan.body.budget.simulations)
     except ConfigError as error:
-        raise BadFile(f"{link.folder}campaigns.jsonl: document: {error}") from None
-    if not is_follow_up(plan, link.repeats, link.numbers):
-        raise BadFile(f"{where}: expected repeats and numbers as in campaign {link.campaign_id}")
-    status = select(CampaignRow.status).where(CampaignRow.id == link.of_id)
+        raise BadFile(f"{folder}campaigns.jsonl: document: {error}") from None
+    if not question_of(asks.kind).fits(plan, asks):
+        raise BadFile(f"{where}: expected kind, selection and numbers as in the campaign in {folder}")
+    status = select(CampaignRow.status).where(CampaignRow.id == asks.of_id)
     if connection.execute(status).scalar_one() not in ENDED:
         raise BadFile(f"{where}: of_id: expected a campaign that has ended, since it has follow-ups")
-    numbers = set(link.numbers)
+    numbers = set(asks.numbers)
     known = select(SolutionRow.number).where(
-        SolutionRow.campaign_id == link.of_id, SolutionRow.number.in_(numbers)
+        SolutionRow.campaign_id == asks.of_id, SolutionRow.number.in_(numbers)
     )
     if unknown := numbers - set(connection.execute(known).scalars()):
-        raise BadFile(f"{where}: numbers: campaign {link.of_id} has no solution {min(unknown)}")
+        raise BadFile(f"{where}: numbers: campaign {asks.of_id} has no solution {min(unknown)}")
 
 
 class _Import:

@@ -7,8 +7,8 @@ from pydantic import Field
 from brink.search.analysis.boundary import has_evidence
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.boundaries import read_last_count
+from brink.server.campaigns.follow_ups.follow_up import MOST
 from brink.server.campaigns.plan import check_repeatable
-from brink.server.campaigns.repeats import MOST, FollowUpKind
 from brink.server.campaigns.store import ENDED
 from brink.server.errors import InvalidInput
 from brink.server.findings.boundary.analysis import boundary_note, boundary_table, boundary_words
@@ -18,6 +18,7 @@ from brink.server.findings.follow_ups import follow_up_view
 from brink.server.findings.kind import Kind, Listed, Settings, Subject
 from brink.server.findings.solutions import solutions_of
 from brink.server.findings.words import counted, listed_words
+from brink.server.states import FollowUpKind, Selection
 
 
 class BoundarySettings(Settings):
@@ -106,7 +107,11 @@ class BoundaryKind(Kind):
 
 def _repeat(subject: Subject, distinct: int) -> list[Step]:
     """Return the step that simulates the boundary again, unless that was done or would be uninformative."""
-    again = [one for one in subject.stored if one.boundary and one.kind is FollowUpKind.CONFIRM]
+    again = [
+        one
+        for one in subject.stored
+        if one.kind is FollowUpKind.CONFIRM and one.selection is Selection.BOUNDARY
+    ]
     open_one = next((one for one in again if one.campaign.status not in ENDED), None)
     if open_one is None and (again or _cannot_repeat(subject)):
         return []
@@ -121,7 +126,7 @@ def _repeat(subject: Subject, distinct: int) -> list[Step]:
             f"{DEFAULT_REPEATS * repeated:,} simulations.",
             command=f"brink repeats {subject.campaign.id}",
             request=StepRequest(path=f"{subject.path}/repeats", body={}),
-            follow_up=None if open_one is None else follow_up_view(open_one),
+            follow_up=None if open_one is None else follow_up_view(open_one.kind, open_one.campaign),
             tells_more=True,
         )
     ]

@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from brink.search.algorithms.repeats import Conclusion
-from brink.server.states import CampaignStatus
+from brink.server.states import CampaignStatus, Selection
 from brink.server.views import View
 
 
@@ -47,21 +47,21 @@ class RepeatsView(View):
     status: CampaignStatus
     status_reason: str
     repeats: int
-    boundary: Annotated[
-        bool,
+    selection: Annotated[
+        Selection,
         Field(
-            description="Whether these are the distinct boundary at t_b and d_th. If not, they were named by number, "
-            "and t_b is 1 and d_th 0, which excludes nothing."
+            description="Whether the solutions are the distinct boundary at t_b and d_th, were named by number, or "
+            "are sides of pairs."
         ),
     ]
-    t_b: float
-    d_th: float
+    t_b: Annotated[float | None, Field(description="Null if the solutions are not a boundary.")]
+    d_th: float | None
     p_th: float
     distinct: Annotated[
         int | None,
         Field(
             description="Number of distinct boundary solutions at t_b and d_th, of which the best 1,000 at most are "
-            "repeated; null if the solutions were named by number."
+            "repeated; null if they are not a boundary."
         ),
     ] = None
     simulations: int

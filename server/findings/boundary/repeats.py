@@ -6,21 +6,22 @@ from brink.search.algorithms.repeats import Conclusion, simulations_to_clear
 from brink.search.fitness import wilson_interval
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_T_B
-from brink.server.campaigns.repeats import MOST, StoredRepeats
+from brink.server.campaigns.follow_ups.follow_up import MOST, StoredFollowUp
+from brink.server.campaigns.follow_ups.kinds.confirm import tallies_of
 from brink.server.campaigns.store import Campaign
 from brink.server.findings.boundary.repeat_views import RepeatedSolution, RepeatsView
 from brink.server.findings.sources import Sources
 from brink.server.findings.words import listed_words
-from brink.server.states import CampaignStatus
+from brink.server.states import CampaignStatus, Selection
 
 DEFAULT_REPEATS = 50
 
 
 async def count_distinct(
-    services: Sources, campaign: Campaign, stored: StoredRepeats, found: ReadArchive
+    services: Sources, campaign: Campaign, stored: StoredFollowUp, found: ReadArchive
 ) -> int | None:
     """Return how many boundary solutions there are at the thresholds of repeats; None if these are of named ones."""
-    if not stored.boundary:
+    if stored.t_b is None or stored.d_th is None:
         return None
     if len(stored.numbers) < MOST:
         return len(stored.numbers)
@@ -28,7 +29,7 @@ async def count_distinct(
 
 
 def repeats_view(
-    campaign: Campaign, stored: StoredRepeats, read_archive: ReadArchive, distinct: int | None
+    campaign: Campaign, stored: StoredFollowUp, read_archive: ReadArchive, distinct: int | None
 ) -> RepeatsView:
     """Return the results of repeats.
 
@@ -38,10 +39,11 @@ def repeats_view(
         read_archive: Its archive.
         distinct: How many boundary solutions there are at their thresholds; see `count_distinct`.
     """
+    assert stored.repeats is not None
     near = read_archive.plan.neighbourhood
-    tallies = stored.tallies(near.z)
+    tallies = tallies_of(stored, near.z)
     known, holds = tallies.evaluated > 0, tallies.contains(near.p_th)
-    conclusions = tallies.conclusions(near.p_th, stored.t_b if stored.boundary else DEFAULT_T_B)
+    conclusions = tallies.conclusions(near.p_th, DEFAULT_T_B if stored.t_b is None else stored.t_b)
     solutions = []
     for place, number in enumerate(stored.numbers):
         index = read_archive.places.get(number)
@@ -70,7 +72,7 @@ def repeats_view(
         status=stored.campaign.status,
         status_reason=stored.campaign.status_reason,
         repeats=stored.repeats,
-        boundary=stored.boundary,
+        selection=stored.selection,
         t_b=stored.t_b,
         d_th=stored.d_th,
         distinct=distinct,
@@ -88,7 +90,7 @@ def repeats_view(
         words="",
         solutions=solutions,
     )
-    rated = stored.boundary or read_archive.plan.is_for("boundary")
+    rated = stored.selection is Selection.BOUNDARY or read_archive.plan.is_for("boundary")
     to_clear = simulations_to_clear(near.p_th, near.z) if rated else None
     return view.model_copy(update={"words": _in_words(view, to_clear)})
 
@@ -109,11 +111,11 @@ def _in_words(view: RepeatsView, to_clear: int | None) -> str:
             a search that has nothing to do with p_th.
     """
     count, reason = len(view.solutions), f" ({view.status_reason})" if view.status_reason else ""
-    selected = "boundary solution" if view.boundary else "selected solution"
+    selected = "boundary solution" if view.selection is Selection.BOUNDARY else "selected solution"
     what = listed_words(count, view.distinct or count, selected)
     if view.pooled is None:
         return f"{what}, none simulated again yet: {view.status}{reason}"
-    if view.boundary:
+    if view.selection is Selection.BOUNDARY:
         what += f" (fitness at most {view.t_b:g}, {view.d_th:g} apart)"
     each = sorted({one.evaluated for one in view.solutions})
     drives = f"{each[0]} to {each[-1]}" if len(each) > 1 else f"{each[0]}"

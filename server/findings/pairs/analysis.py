@@ -1,7 +1,7 @@
 """The pairs of a campaign with all evidence for them."""
 
 import json
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
@@ -14,13 +14,15 @@ from brink.search.features import Unit
 from brink.search.odd import with_odd
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED, has_one_seed, read_reduced, sides_of
+from brink.server.campaigns.follow_ups.follow_up import StoredFollowUp
+from brink.server.campaigns.follow_ups.kinds.confirm import Repeated
+from brink.server.campaigns.follow_ups.kinds.minimise import has_one_seed, pairs_of, reduced_by
+from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, AskedPairs, Offer, questions
 from brink.server.campaigns.outcomes import SolutionOutcome, outcome_of
-from brink.server.campaigns.pairs import CampaignPairs, Repeated, find_reducible
-from brink.server.campaigns.plan import Plan, check_repeatable, make_plan, with_truth
-from brink.server.campaigns.repeats import FollowUpKind, StoredRepeats
+from brink.server.campaigns.pairs import CampaignPairs, find_reducible
+from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.campaigns.store import ENDED, Campaign
-from brink.server.errors import InvalidInput, NotFound
+from brink.server.errors import NotFound
 from brink.server.findings.follow_ups import ShareView, follow_up_view
 from brink.server.findings.pairs.table import pairs_table
 from brink.server.findings.pairs.views import (
@@ -49,7 +51,7 @@ from brink.server.problems.changes import (
     common_words,
     moved_words,
 )
-from brink.server.states import CampaignStatus, SolutionVerdict
+from brink.server.states import CampaignStatus, FollowUpKind, Selection, SolutionVerdict
 from brink.sim.verdict import drives_held, unsafe_words
 
 
@@ -58,7 +60,7 @@ def pairs_view(
     campaign: Campaign,
     found: ReadArchive,
     pairs: CampaignPairs,
-    stored: Sequence[StoredRepeats],
+    stored: Sequence[StoredFollowUp],
     limit: int,
 ) -> PairsView:
     """Return the distinct pairs of a campaign.
@@ -131,11 +133,8 @@ def pairs_view(
         else NearestView(
             safe=pairs.nearest.safe, unsafe=pairs.nearest.unsafe, distance=pairs.nearest.distance
         ),
-        follow_ups=[follow_up_view(one) for one in stored],
-        offers=[
-            FollowUpOffer(kind=kind, simulations=simulations, reason=reason, left_out=left_out)
-            for kind, (simulations, reason, left_out) in _offers(campaign, found, pairs, stored).items()
-        ],
+        follow_ups=[follow_up_view(one.kind, one.campaign) for one in stored],
+        offers=_offers(campaign, found, pairs, stored),
         pairs=[
             in_words(_pair(place, pair, problem, rows, evidence), computed=problem.ignores_seeds)
             for place, pair in placed
@@ -192,56 +191,41 @@ def _caveat(campaign: Campaign, problem: Problem) -> str:
 
 
 def _offers(
-    campaign: Campaign, found: ReadArchive, pairs: CampaignPairs, stored: Sequence[StoredRepeats]
-) -> dict[FollowUpKind, tuple[int, str, int]]:
-    """Return each follow-up's number of simulations, why it is unavailable, and how many pairs it leaves out."""
+    campaign: Campaign, found: ReadArchive, pairs: CampaignPairs, stored: Sequence[StoredFollowUp]
+) -> list[FollowUpOffer]:
+    """Return the cost of each kind of follow-up, or why it is unavailable."""
     chosen = pairs.found.pairs[:MOST_PAIRS_FOLLOWED]
-    if campaign.status not in ENDED:
-        return dict.fromkeys(
-            FollowUpKind, (0, f"the campaign is {campaign.status}: wait until it has ended", 0)
-        )
-    if not chosen:
-        return dict.fromkeys(FollowUpKind, (0, "there is no pair", 0))
-    answered: dict[FollowUpKind, set[tuple[int, ...]]] = {kind: set() for kind in FollowUpKind}
-    for one in stored:
-        if one.campaign.status is CampaignStatus.FINISHED:
-            paired = zip(one.numbers[0::2], one.numbers[1::2], strict=True)
-            single = ((number,) for number in one.numbers)
-            answered[one.kind].update(paired if one.kind is FollowUpKind.MINIMISE else single)
-    unsafe = {(pair.unsafe.number,) for pair in chosen}
-    open_pairs = {(pair.safe.number, pair.unsafe.number) for pair in chosen} & (pairs.reducible or set())
-    truth, less = "", ""
-    if unsafe <= answered[FollowUpKind.COMPONENT]:
-        truth = "all unsafe sides have been simulated with ground truth"
-    same_seed = [pair for pair in chosen if has_one_seed(found.plan, pair)]
-    if not same_seed:
-        less = "the two sides of every pair have different seeds, so chance may explain the verdicts"
-    elif not open_pairs:
-        less = "no difference can be reverted alone: all pairs are minimal"
-    elif open_pairs <= answered[FollowUpKind.MINIMISE]:
-        less = "the differences of all pairs have been reverted one by one"
-    offers = {
-        FollowUpKind.CONFIRM: (len(sides_of(chosen)), _refusal(lambda: check_repeatable(found.plan)), 0),
-        FollowUpKind.COMPONENT: (len(unsafe), _refusal(lambda: with_truth(found.plan.problem)) or truth, 0),
-        FollowUpKind.MINIMISE: (pairs.most_trials, less, len(chosen) - len(same_seed)),
-    }
-    for one in stored:
-        if one.campaign.status not in ENDED and not one.boundary:
-            offers[one.kind] = (
-                0,
-                f"this has been requested: campaign {one.campaign.id} is {one.campaign.status}",
-                0,
+    asked = AskedPairs(campaign=campaign, plan=found.plan, archive=found.archive, pairs=chosen)
+    offers = []
+    for question in questions():
+        own = [one for one in stored if one.kind is question.kind]
+        open_ones = [
+            one for one in own if one.selection is Selection.PAIRS and one.campaign.status not in ENDED
+        ]
+        if pairs.reducible is None:
+            offer = Offer(reason=f"the campaign is {campaign.status}: wait until it has ended")
+        elif not chosen:
+            offer = Offer(reason="there is no pair")
+        elif open_ones:
+            last = open_ones[-1].campaign
+            offer = Offer(reason=f"this has been requested: campaign {last.id} is {last.status}")
+        else:
+            finished = [one for one in own if one.campaign.status is CampaignStatus.FINISHED]
+            offer = question.offer(asked, pairs.reducible, finished)
+        offers.append(
+            FollowUpOffer(
+                kind=question.kind,
+                title=question.title,
+                label=question.label,
+                words=question.words,
+                repeats=question.repeats,
+                exact=question.is_exact,
+                simulations=offer.simulations,
+                reason=offer.reason,
+                left_out=offer.left_out,
             )
+        )
     return offers
-
-
-def _refusal(check: Callable[[], object]) -> str:
-    """Return the reason why a check fails; empty if it passes."""
-    try:
-        check()
-    except InvalidInput as error:
-        return "; ".join(one.message for one in error.errors)
-    return ""
 
 
 def _pair(
@@ -291,9 +275,17 @@ class _Reduction:
         rows: The stored solutions that are unsafe sides now, by number.
     """
 
-    stored: StoredRepeats
+    stored: StoredFollowUp
     reduced: Reduced
     rows: Mapping[int, Row[Any]]
+
+    @classmethod
+    def read(cls, connection: Connection, stored: StoredFollowUp) -> Self:
+        """Read how far a follow-up is."""
+        reduced = reduced_by(make_plan(stored.campaign.body), stored)
+        latest = [number for number in reduced.latest if number is not None]
+        rows = view_store.read_solutions(connection, stored.campaign.id, latest)
+        return cls(stored=stored, reduced=reduced, rows={row.number: row for row in rows})
 
     @property
     def is_finished(self) -> bool:
@@ -326,7 +318,7 @@ class _Evidence:
         found: ReadArchive,
         pairs: CampaignPairs,
         shown: Sequence[Pair],
-        stored: Sequence[StoredRepeats],
+        stored: Sequence[StoredFollowUp],
         repeated: Repeated,
     ) -> Self:
         """Read the results of the follow-ups.
@@ -339,27 +331,23 @@ class _Evidence:
             stored: Its follow-ups, oldest first.
             repeated: What those with other seeds have shown.
         """
-        of_kind = {kind: [one for one in stored if one.kind is kind] for kind in FollowUpKind}
         truths: dict[int, ComponentView] = {}
-        for one in of_kind[FollowUpKind.COMPONENT]:
-            for number, view in _truths(connection, one).items():
-                if number not in truths or truths[number].state not in _KNOWN_PARTS:
-                    truths[number] = view
         reductions: dict[tuple[int, int], tuple[_Reduction, int]] = {}
-        for one in of_kind[FollowUpKind.MINIMISE]:
-            reduced = read_reduced(connection, make_plan(one.campaign.body), one)
-            latest = [number for number in reduced.latest if number is not None]
-            rows = view_store.read_solutions(connection, one.campaign.id, latest)
-            reduction = _Reduction(stored=one, reduced=reduced, rows={row.number: row for row in rows})
-            sides = zip(one.numbers[0::2], one.numbers[1::2], strict=True)
-            for place, pair in enumerate(sides):
-                if pair not in reductions or not reductions[pair][0].is_finished:
-                    reductions[pair] = reduction, place
+        for one in stored:
+            if one.kind is FollowUpKind.COMPONENT:
+                for number, view in _truths(connection, one).items():
+                    if number not in truths or truths[number].state not in _KNOWN_PARTS:
+                        truths[number] = view
+            elif one.kind is FollowUpKind.MINIMISE:
+                reduction = _Reduction.read(connection, one)
+                for place, pair in enumerate(pairs_of(one)):
+                    if pair not in reductions or not reductions[pair][0].is_finished:
+                        reductions[pair] = reduction, place
         return cls(
             plan=found.plan,
             reducible=find_reducible(found.plan, found.archive, shown)
             if pairs.reducible is None
-            else pairs.reducible,
+            else pairs.reducible.pairs,
             repeated=repeated,
             truths=truths,
             reductions=reductions,
@@ -424,7 +412,7 @@ class _Evidence:
 _KNOWN_PARTS: Final = (ComponentPart.COMPONENT, ComponentPart.SCENARIO)
 
 
-def _truths(connection: Connection, stored: StoredRepeats) -> dict[int, ComponentView]:
+def _truths(connection: Connection, stored: StoredFollowUp) -> dict[int, ComponentView]:
     """Return what the drives of a follow-up with ground truth showed, by number of the solution in the campaign.
 
     Those that were never simulated, because the follow-up was cancelled, are left out.

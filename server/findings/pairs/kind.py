@@ -1,6 +1,6 @@
 """Pairs as a kind of finding."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Final
 
 from pydantic import Field
@@ -8,8 +8,10 @@ from pydantic import Field
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.errors import TooManyPairs
 from brink.search.odd import odd_sentence
-from brink.server.campaigns.pairs import PairSettings, Repeated, find_stored_pairs
-from brink.server.campaigns.repeats import FollowUpKind, read_follow_ups
+from brink.server.campaigns.follow_ups.kinds.confirm import Repeated
+from brink.server.campaigns.follow_ups.question import question_of
+from brink.server.campaigns.follow_ups.store import read_follow_ups
+from brink.server.campaigns.pairs import PairSettings, find_stored_pairs
 from brink.server.campaigns.store import ENDED
 from brink.server.errors import InvalidInput
 from brink.server.findings.finding import Finding, Role, Step, StepRequest
@@ -17,41 +19,15 @@ from brink.server.findings.follow_ups import follow_up_view
 from brink.server.findings.kind import Kind, Listed, Settings, Subject
 from brink.server.findings.pairs.analysis import pairs_view
 from brink.server.findings.pairs.table import pairs_table
-from brink.server.findings.pairs.views import (
-    DEFAULT_CONFIRMATIONS,
-    BestPair,
-    FollowUpOffer,
-    PairsFound,
-    PairsView,
-    PairView,
-)
+from brink.server.findings.pairs.views import BestPair, FollowUpOffer, PairsFound, PairsView, PairView
 from brink.server.findings.pairs.words import chance_words, figures, meaning, trust
 from brink.server.findings.words import counted
+from brink.server.states import Selection
 
 MOST_SOLUTIONS: Final = 20_000
 """Largest archive that is searched for pairs for a list; a campaign's page has those of others."""
 MOST_RINGS: Final = 1_000
 BEST: Final = 2
-_QUESTIONS: Final[Mapping[FollowUpKind, tuple[str, str, str, str]]] = {
-    FollowUpKind.CONFIRM: (
-        "Do the pairs hold?",
-        "Confirm the pairs",
-        f"--confirm {DEFAULT_CONFIRMATIONS}",
-        f"Simulates both sides of each pair with up to {DEFAULT_CONFIRMATIONS} other seeds.",
-    ),
-    FollowUpKind.COMPONENT: (
-        "Is the component to blame?",
-        "Blame the component",
-        "--component",
-        "Simulates each unsafe side once more, with ground truth in place of the component.",
-    ),
-    FollowUpKind.MINIMISE: (
-        "Which differences matter?",
-        "Minimise the changes",
-        "--minimise",
-        "Reverts the differences of each pair one by one, as long as its unsafe side stays unsafe.",
-    ),
-}
 
 
 class PairsSettings(Settings):
@@ -190,27 +166,33 @@ def _rule_words(view: PairsView) -> str:
 
 def _ask(subject: Subject, view: PairsView, offer: FollowUpOffer) -> Step | None:
     """Return the step that asks for a follow-up; None if there is nothing left to do."""
-    campaign = subject.campaign.id
-    running = (one for one in subject.stored if one.kind is offer.kind and one.campaign.status not in ENDED)
-    open_one = next((one for one in running if not one.boundary), None)
-    confirms = offer.kind is FollowUpKind.CONFIRM
-    done = confirms and view.tried + view.pending == view.distinct
+    campaign, question = subject.campaign.id, question_of(offer.kind)
+    open_one = next(
+        (
+            one
+            for one in subject.stored
+            if one.kind is offer.kind
+            and one.selection is Selection.PAIRS
+            and one.campaign.status not in ENDED
+        ),
+        None,
+    )
+    done = offer.repeats is not None and view.tried + view.pending == view.distinct
     if open_one is None and (offer.reason or done or view.computed):
         return None
-    question, label, option, what = _QUESTIONS[offer.kind]
-    simulations = offer.simulations * (DEFAULT_CONFIRMATIONS if confirms else 1)
-    most = "" if offer.kind is FollowUpKind.COMPONENT else "at most "
-    repeats = {"repeats": DEFAULT_CONFIRMATIONS} if confirms else {}
+    simulations = offer.simulations * (offer.repeats or 1)
+    most = "" if offer.exact else "at most "
+    repeats = {} if offer.repeats is None else {"repeats": offer.repeats}
     return Step(
         kind=offer.kind.value,
-        question=question,
-        label=label,
-        words=what if open_one else f"{what} It takes {most}{simulations:,} simulations.",
-        command=f"brink pairs {campaign} {option}",
+        question=question.title,
+        label=question.label,
+        words=question.words if open_one else f"{question.words} It takes {most}{simulations:,} simulations.",
+        command=f"brink pairs {campaign} {question.option}",
         request=StepRequest(
             path=f"{subject.path}/pairs/follow-ups", body={"kind": offer.kind.value, **repeats}
         ),
-        follow_up=None if open_one is None else follow_up_view(open_one),
+        follow_up=None if open_one is None else follow_up_view(open_one.kind, open_one.campaign),
         tells_more=True,
     )
 

@@ -1,24 +1,22 @@
 """Response schemas of pairs: two neighbouring solutions, one safe and one unsafe, and the change between them."""
 
 from enum import StrEnum
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Self
 
 from pydantic import Field, model_validator
 
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.sequential import ERROR, FIRST, FURTHER, INTERVAL, LIMIT
-from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
-from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.campaigns.follow_ups.kinds.confirm import DEFAULT_CONFIRMATIONS
+from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, question_of
 from brink.server.documents import Body
 from brink.server.findings.follow_ups import FollowUpView, ShareView
 from brink.server.findings.table import Table
-from brink.server.states import CampaignStatus, OutcomeKind
+from brink.server.states import CampaignStatus, FollowUpKind, OutcomeKind
 from brink.server.views import ActivityView, View
 
 MOST_PAIRS: Final = 1_000
 DEFAULT_PAIRS: Final = 100
-DEFAULT_CONFIRMATIONS: Final = 30
-"""Most simulations of each side, to confirm pairs; a clear side takes 15, or 4."""
 
 
 class ConfirmationView(View):
@@ -233,8 +231,21 @@ class FollowUpOffer(View):
     """A follow-up that is available for all of these pairs, and its cost."""
 
     kind: FollowUpKind
+    title: Annotated[str, Field(description="What it asks, as a heading.")]
+    label: Annotated[str, Field(description="Label of a button that asks it.")]
+    words: Annotated[str, Field(description="What it simulates, in a sentence.")]
+    repeats: Annotated[
+        int | None,
+        Field(
+            description="Default for the most simulations of each side with other seeds; null for a kind of "
+            "follow-up that simulates sides with their own seeds."
+        ),
+    ]
+    exact: Annotated[
+        bool, Field(description="Whether it takes exactly these simulations rather than at most these.")
+    ]
     simulations: Annotated[
-        int, Field(description="Simulations that it takes: to confirm, in each repeat; to minimise, at most.")
+        int, Field(description="Simulations that it takes, in each repeat if there are repeats.")
     ]
     reason: Annotated[str, Field(description="Why it cannot be asked; empty if it can.")]
     left_out: Annotated[
@@ -249,10 +260,11 @@ class FollowUpBody(Body):
     """The follow-up to run on the pairs of a campaign."""
 
     kind: Annotated[
-        Literal["confirm", "component", "minimise"],
+        FollowUpKind,
         Field(
+            strict=False,
             description="confirm: simulate both sides with other seeds. component: simulate the unsafe side with "
-            "ground truth in place of the component. minimise: revert differences one by one."
+            "ground truth in place of the component. minimise: revert differences one by one.",
         ),
     ]
     repeats: Annotated[
@@ -277,7 +289,7 @@ class FollowUpBody(Body):
 
     @model_validator(mode="after")
     def _check_repeats_confirm(self) -> Self:
-        if self.kind != "confirm" and "repeats" in self.model_fields_set:
+        if question_of(self.kind).repeats is None and "repeats" in self.model_fields_set:
             raise ValueError(f"expected repeats only to confirm pairs, got kind {self.kind}")
         return self
 

@@ -9,13 +9,14 @@ from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta, timezone
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import pytest
 from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.config import Config
 from alembic.migration import MigrationContext
-from sqlalchemy import insert, inspect, select, text
+from sqlalchemy import Connection, insert, inspect, select, text
 from sqlalchemy.exc import IntegrityError
 from support.databases import Databases
 from support.queue import Queue
@@ -23,7 +24,7 @@ from support.queue import Queue
 from brink.server.campaigns.body import search_text
 from brink.server.db import upgrade as upgrading
 from brink.server.db.engine import Engines, open_engines
-from brink.server.db.models import Base, CampaignRow, JobRow, SolutionRow, TraceRow
+from brink.server.db.models import Base, CampaignRow, FollowUpRow, JobRow, SolutionRow, TraceRow
 from brink.server.db.upgrade import alembic_config, current_revision, head_revision, upgrade
 from brink.server.errors import DatabaseError
 
@@ -61,17 +62,7 @@ def test_an_upgrade_keeps_what_is_stored(empty: Engines) -> None:
     migrate(empty, "upgrade", "0001")
     moment = datetime(2026, 1, 2, tzinfo=UTC)
     with empty.writer.begin() as connection:
-        connection.execute(
-            text(
-                "INSERT INTO campaigns (id, name, document, document_hash, status, status_reason, seed, priority,"
-                " budget, generation, evaluated, unsafe, failed, failures_accepted, turn, created_at)"
-                " VALUES ('a', 'Old', :document, 'h', 'running', '', 1, 0, 9, 1, 3, 1, 0, 0, 0, :moment)"
-            ),
-            {
-                "document": json.dumps({"algorithm": {"id": "random@1", "params": {"generation_size": 60}}}),
-                "moment": moment.isoformat(" ") if empty.writer.dialect.name == "sqlite" else moment,
-            },
-        )
+        insert_old_campaign(connection, "a", "Old", {"generation_size": 60}, status="running")
         connection.execute(
             text(
                 "INSERT INTO solutions (campaign_id, number, generation, vector, seed, verdict, robustness)"
@@ -102,6 +93,93 @@ def test_an_upgrade_keeps_what_is_stored(empty: Engines) -> None:
     with empty.reader.connect() as connection:
         assert connection.execute(text("SELECT number FROM solutions")).scalars().all() == [7]
     assert upgrade(empty) == ("0001", head_revision())
+
+
+def test_follow_ups_get_a_kind_and_a_selection(empty: Engines) -> None:
+    migrate(empty, "upgrade", "0015")
+    keep: dict[str, Any] = {"keep": [True]}
+    former: tuple[tuple[str, dict[str, Any], float, float, int, list[int]], ...] = (
+        ("Old: boundary again", {}, 0.1, 0.2, 50, [4, 2]),
+        ("Old: boundary again", {}, 1.0, 0.0, 50, [4, 2, 7]),
+        ("Old: 2 solutions again", {}, 1.0, 0.0, 12, [7, 2]),
+        ("Old: boundary again: solution 3 again", keep, 1.0, 0.0, 30, [3]),
+        ("Old: 1 unsafe drive with ground truth", {}, 1.0, 0.0, 1, [3]),
+        ("Old: 1 pair minimised", {}, 1.0, 0.0, 0, [3, 5]),
+    )
+    expected = [
+        ("confirm", "boundary", 0.1, 0.2, 50, [4, 2]),
+        ("confirm", "boundary", 1.0, 0.0, 50, [4, 2, 7]),
+        ("confirm", "numbers", None, None, 12, [7, 2]),
+        ("confirm", "pairs", None, None, 30, [3]),
+        ("component", "pairs", None, None, None, [3]),
+        ("minimise", "pairs", None, None, None, [3, 5]),
+    ]
+    with empty.writer.begin() as connection:
+        insert_old_campaign(connection, "of", "Old", {})
+        for place, (name, params, *stored, numbers) in enumerate(former):
+            insert_old_campaign(connection, f"c{place}", name, params)
+            connection.execute(
+                text("INSERT INTO repeats VALUES (:id, 'of', :t_b, :d_th, :repeats, :numbers)"),
+                {"id": f"c{place}", **dict(zip(("t_b", "d_th", "repeats"), stored, strict=True))}
+                | {"numbers": json.dumps(numbers)},
+            )
+    assert upgrade(empty) == ("0015", head_revision())
+    row = FollowUpRow
+    query = select(row.kind, row.selection, row.t_b, row.d_th, row.repeats, row.numbers)
+    with empty.reader.connect() as connection:
+        assert list(map(tuple, connection.execute(query.order_by(row.campaign_id)))) == expected
+        assert set(connection.execute(select(row.of_id)).scalars()) == {"of"}
+    migrate(empty, "downgrade", "0015")
+    again = "SELECT t_b, d_th, repeats FROM repeats ORDER BY campaign_id"
+    with empty.reader.connect() as connection:
+        found = list(map(tuple, connection.execute(text(again))))
+        assert found == [(t_b, d_th, repeats) for _, _, t_b, d_th, repeats, _ in former]
+    upgrade(empty)
+    with empty.reader.connect() as connection:
+        assert list(map(tuple, connection.execute(query.order_by(row.campaign_id)))) == expected
+
+
+def insert_old_campaign(
+    connection: Connection, campaign: str, name: str, params: dict[str, Any], status: str = "finished"
+) -> None:
+    moment = datetime(2026, 1, 2, tzinfo=UTC)
+    connection.execute(
+        text(
+            "INSERT INTO campaigns (id, name, document, document_hash, status, status_reason, seed, priority,"
+            " budget, generation, evaluated, unsafe, failed, failures_accepted, turn, created_at)"
+            " VALUES (:id, :name, :document, 'h', :status, '', 1, 0, 9, 1, 3, 1, 0, 0, 0, :moment)"
+        ),
+        {
+            "id": campaign,
+            "name": name,
+            "status": status,
+            "document": json.dumps({"algorithm": {"id": "random@1", "params": params}}),
+            "moment": moment.isoformat(" ") if connection.dialect.name == "sqlite" else moment,
+        },
+    )
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"kind": "other"},
+        {"selection": "other"},
+        {"kind": "component"},
+        {"repeats": None},
+        {"repeats": 1},
+        {"t_b": None},
+        {"selection": "numbers", "t_b": None},
+        {"selection": "pairs"},
+    ],
+)
+def test_a_follow_up_that_makes_no_sense_is_not_stored(engines: Engines, broken: dict[str, object]) -> None:
+    queue = Queue(engines=engines)
+    sound = {"campaign_id": queue.campaign(0), "of_id": queue.campaign(0), "kind": "confirm"}
+    sound |= {"selection": "boundary", "t_b": 1.0, "d_th": 0.0, "repeats": 2, "numbers": [1]}
+    with pytest.raises(IntegrityError), engines.writer.begin() as connection:
+        connection.execute(insert(FollowUpRow).values({**sound, **broken}))
+    with engines.writer.begin() as connection:
+        connection.execute(insert(FollowUpRow).values(sound))
 
 
 def migrate(engines: Engines, direction: str, revision: str) -> None:

@@ -25,7 +25,8 @@ from support.coordinators import Coordinators
 from support.databases import on_sqlite, sqlite_then_postgres
 from support.marks import mostly_long
 
-from brink.server.campaigns import advance, plan, repeats, step_store, view_store
+from brink.server.campaigns import advance, plan, step_store, view_store
+from brink.server.campaigns.follow_ups import store as follow_ups
 from brink.server.campaigns.store import set_status
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow, SolutionRow
@@ -270,8 +271,7 @@ def test_results_that_were_written_before_a_step_that_was_never_taken_are_read_b
     with engines.reader.connect() as connection:
         assert job_store.unsafe_outcomes(connection, campaign) == []
         assert view_store.read_measured(connection, campaign) == []
-        assert view_store.read_failed(connection, campaign) == []
-        assert repeats._verdicts(connection, campaign) == {}
+        assert follow_ups._verdicts(connection, campaign) == {}
     assert expect(client.get(f"{API}/{campaign}/solutions", params={"unsafe": True}))["solutions"] == []
 
 

@@ -400,7 +400,7 @@ def test_a_campaign_is_deleted_with_its_follow_ups(client: httpx.Client, engines
     expect(client.delete(f"{API}/{campaign}"), 204)
     await_erasure(engines)
     counts = row_counts(engines)
-    assert (counts["campaigns"], counts["repeats"], counts["solutions"]) == (0, 0, 0)
+    assert (counts["campaigns"], counts["follow_ups"], counts["solutions"]) == (0, 0, 0)
 
 
 @pytest.mark.long("runs campaigns")

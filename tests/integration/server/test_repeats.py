@@ -119,7 +119,7 @@ def test_the_same_repeats_are_not_run_twice_and_others_are(client: httpx.Client,
     assert [one["repeats"] for one in expect(client.get(f"{API}/{campaign}/repeats"))] == [3, 4]
     expect(client.post(f"{API}/{other['campaign']}/cancel"))
     expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 4, **WIDE}), 201)
-    assert row_counts(engines)["repeats"] == 3
+    assert row_counts(engines)["follow_ups"] == 3
 
 
 def test_a_campaign_may_ask_for_repeats_itself(client: httpx.Client) -> None:
@@ -139,7 +139,7 @@ def test_named_solutions_are_simulated_again_in_place_of_the_boundary(client: ht
     view = expect(answer, 201)
     assert answer.headers["Location"] == f"{API}/{view['campaign']}"
     assert [one["number"] for one in view["solutions"]] == best_first
-    assert (view["boundary"], view["t_b"], view["d_th"], view["budget"]) == (False, 1.0, 0.0, 18)
+    assert (view["selection"], view["t_b"], view["d_th"], view["budget"]) == ("numbers", None, None, 18)
     again = expect(client.get(f"{API}/{view['campaign']}"))
     assert again["name"] == "ball: 3 solutions again"
     assert FakeWorker(client, judge=by_chance).work(view["campaign"])["status"] == "finished"
@@ -164,11 +164,29 @@ def test_the_same_named_solutions_are_not_simulated_twice_and_others_are(client:
     assert len({one, ask(201, 6), ask(201, 5, repeats=4), ask(201, 5, 6)}) == 4
     assert ask(200, 6, 5) == ask(200, 5, 6), "in whatever order"
     boundary = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **WIDE}), 201)
-    assert boundary["boundary"]
+    assert boundary["selection"] == "boundary"
     views = expect(client.get(f"{API}/{campaign}/repeats"))
-    assert sorted(view["boundary"] for view in views) == [False, False, False, False, True]
+    assert sorted(view["selection"] for view in views) == ["boundary", *["numbers"] * 4]
     episodes = [solution["seed"] for view in views for solution in solutions(client, view["campaign"])]
     assert len(set(episodes)) == len(episodes), "each with seeds of its own"
+
+
+def test_a_boundary_without_thresholds_is_not_taken_for_solutions_named_by_number(
+    client: httpx.Client,
+) -> None:
+    campaign = finished(client)
+    every: dict[str, Any] = {"repeats": 3, "t_b": 1.0, "d_th": 0.0}
+    named = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, "numbers": [3, 17]}), 201)
+    boundary = expect(client.post(f"{API}/{campaign}/repeats", json=every), 201)
+    count = len(boundary["solutions"])
+    assert (boundary["selection"], boundary["t_b"], boundary["d_th"]) == ("boundary", 1.0, 0.0)
+    assert boundary["distinct"] == count
+    assert boundary["words"].startswith(f"{count} boundary solutions, none simulated")
+    assert (
+        expect(client.post(f"{API}/{campaign}/repeats", json=every), 200)["campaign"] == boundary["campaign"]
+    )
+    views = {one["campaign"]: one for one in expect(client.get(f"{API}/{campaign}/repeats"))}
+    assert views[named["campaign"]]["selection"] == "numbers"
 
 
 @on_sqlite
@@ -186,7 +204,7 @@ def test_solutions_that_cannot_be_named_are_refused(client: httpx.Client, engine
         [error] = expect(client.post(f"{API}/{campaign}/repeats", json=wanted), 422)["errors"]
         assert error["pointer"] == pointer
         assert message in error["message"]
-        assert row_counts(engines)["repeats"] == 0
+        assert row_counts(engines)["follow_ups"] == 0
 
 
 @on_sqlite
@@ -241,7 +259,7 @@ def test_a_campaign_is_deleted_with_its_repeats_once_they_ended(
     expect(client.delete(f"{API}/{campaign}"), 204)
     await_erasure(engines)
     counts = row_counts(engines)
-    assert (counts["campaigns"], counts["repeats"], counts["solutions"], counts["jobs"]) == (0, 0, 0, 0)
+    assert (counts["campaigns"], counts["follow_ups"], counts["solutions"], counts["jobs"]) == (0, 0, 0, 0)
 
 
 def test_a_worker_that_waits_is_woken(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:

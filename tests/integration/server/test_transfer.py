@@ -207,7 +207,7 @@ def test_follow_ups_go_along_and_go_on_elsewhere(
         before = known_of_pairs(client, campaign, asked)
     told = run("export", campaign, "--out", str(file), "--database", database_url, "--json")
     rows = json.loads(told.stdout)["rows"]
-    assert (rows["campaigns"], rows["repeats"]) == (6, 5)
+    assert (rows["campaigns"], rows["follow_ups"]) == (6, 5)
     with databases.database("other") as elsewhere:
         told = run("import", str(file), "--database", elsewhere)
         assert f"its follow-up {asked['half']} is paused; continue it with: " in told.output
@@ -225,7 +225,41 @@ def test_follow_ups_go_along_and_go_on_elsewhere(
             run("import", str(file), "--database", elsewhere)
 
 
-@pytest.mark.long("imports fourteen forged files")
+@on_sqlite
+def test_follow_ups_of_files_of_version_1_are_read(
+    databases: Databases, database_url: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "followed.brink"
+    with coordinator(database_url) as client:
+        campaign, asked = with_follow_ups(client)
+        every = {"repeats": 2, "t_b": 1.0, "d_th": 0.0}
+        boundary = expect(client.post(f"{API}/{campaign}/repeats", json=every), 201)["campaign"]
+        before = known_of_pairs(client, campaign, asked)
+    assert run("export", campaign, "--out", str(file), "--database", database_url).exit_code == 0
+
+    def former(data: bytes) -> bytes:
+        rows = [json.loads(line) for line in data.splitlines()]
+        for row in rows:
+            number = {"confirm": row["repeats"], "component": 1, "minimise": 0}[row.pop("kind")]
+            thresholds = {"boundary": (row["t_b"], row["d_th"])}.get(row.pop("selection"), (1.0, 0.0))
+            row.update(zip(("t_b", "d_th", "repeats"), (*thresholds, number), strict=True))
+        return b"".join(json.dumps(row).encode() + b"\n" for row in rows)
+
+    links = members(file)["follow_ups.jsonl"]
+    older = {"follow_ups.jsonl": lambda _: None, "repeats.jsonl": lambda _: former(links)}
+    older["manifest.json"] = lambda data: data.replace(b'"version": 2', b'"version": 1')
+    again = tmp_path / "again.brink"
+    with databases.database("other") as elsewhere:
+        assert run("import", str(rewritten(file, older)), "--database", elsewhere).exit_code == 0
+        assert run("export", campaign, "--out", str(again), "--database", elsewhere).exit_code == 0
+        assert members(again)["follow_ups.jsonl"] == links
+        with coordinator(elsewhere) as client:
+            assert known_of_pairs(client, campaign, asked) == before
+            views = {one["campaign"]: one for one in expect(client.get(f"{API}/{campaign}/repeats"))}
+            assert views[boundary]["selection"] == "boundary"
+
+
+@pytest.mark.long("imports forged files")
 @on_sqlite
 def test_forged_follow_ups_change_nothing(
     databases: Databases, elsewhere: str, database_url: str, tmp_path: Path
@@ -234,24 +268,32 @@ def test_forged_follow_ups_change_nothing(
     with coordinator(database_url) as client:
         campaign, asked = with_follow_ups(client)
     assert run("export", campaign, "--out", str(file), "--database", database_url).exit_code == 0
-    lines = [json.loads(line) for line in members(file)["repeats.jsonl"].splitlines()]
+    lines = [json.loads(line) for line in members(file)["follow_ups.jsonl"].splitlines()]
     places = {one["campaign_id"]: place for place, one in enumerate(lines)}
 
     def link(name: str, **changes: Any) -> dict[str, Callable[[bytes], bytes | None]]:
-        return {"repeats.jsonl": in_line(lambda row: row.update(changes), places[asked[name]])}
+        return {"follow_ups.jsonl": in_line(lambda row: row.update(changes), places[asked[name]])}
 
     folder = f"follow-ups/{asked['component']}"
+    other = "expected kind, selection and numbers as in the campaign in"
     wrong: tuple[tuple[dict[str, Callable[[bytes], bytes | None]], str], ...] = (
         (link("confirm", numbers=[0, 999]), f"campaign {campaign} has no solution 999"),
-        (link("confirm", repeats=0), "expected repeats and numbers as in campaign"),
-        (link("minimise", repeats=2), "expected repeats and numbers as in campaign"),
-        (link("component", numbers=[0, 1]), "expected repeats and numbers as in campaign"),
+        (link("confirm", kind="minimise"), f"{other} follow-ups/{asked['confirm']}/"),
+        (link("confirm", kind="component"), f"{other} follow-ups/{asked['confirm']}/"),
+        (link("confirm", selection="numbers"), f"{other} follow-ups/{asked['confirm']}/"),
+        (link("confirm", repeats=0), "repeats: "),
+        (link("half", selection="pairs"), f"{other} follow-ups/{asked['half']}/"),
+        (link("half", selection="boundary"), "thresholds_of_boundary"),
+        (link("minimise", kind="confirm", repeats=2), f"{other} follow-ups/{asked['minimise']}/"),
+        (link("minimise", kind="other"), "kind: "),
+        (link("component", numbers=[0, 1]), f"{other} follow-ups/{asked['component']}/"),
         (link("component", numbers=["1"]), "numbers.0: "),
         (link("component", t_b=2.0), "t_b: "),
+        (link("component", repeats=2), "repeats_confirm"),
         (link("component", of_id="f" * 8), "expected a new follow-up of a campaign before it"),
         (link("component", of_id=asked["component"]), "expected a new follow-up of a campaign before it"),
         (link("component", campaign_id=asked["confirm"]), "expected a new follow-up of a campaign before it"),
-        ({"repeats.jsonl": lambda _: None}, "expected a line for each folder"),
+        ({"follow_ups.jsonl": lambda _: None}, "expected a line for each folder"),
         ({"follow-ups/ffffffff/jobs.jsonl": lambda _: b""}, "expected a line for each folder"),
         (
             {f"{folder}/campaigns.jsonl": in_line(lambda row: row.update(id=campaign))},
@@ -331,8 +373,8 @@ def huge() -> bytes:
 WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
     "no manifest": ({"manifest.json": lambda _: b"{}"}, "its manifest is from another program"),
     "a later version": (
-        {"manifest.json": lambda data: data.replace(b'"version": 1', b'"version": 2')},
-        "expected format version 1, got 2",
+        {"manifest.json": lambda data: data.replace(b'"version": 2', b'"version": 3')},
+        "expected format version 1 or 2, got 3",
     ),
     "a table is missing": ({"jobs.jsonl": lambda _: None}, "undamaged"),
     "no JSON": ({"solutions.jsonl": lambda data: data[:-30]}, "line 70"),

@@ -93,7 +93,7 @@ export async function show(main, context, { query }) {
 
   function take(read) {
     const listed = new Set(read.id);
-    const rows = toldApart(rowsOf(read)).map((row) => ({ ...row, ...(status.value ? { follow_ups: 0, nested: false } : { nested: listed.has(row.repeats_of) }) }));
+    const rows = toldApart(rowsOf(read)).map((row) => ({ ...row, ...(status.value ? { follow_ups: 0, nested: false } : { nested: listed.has(row.follow_up_of) }) }));
     keyed(body, rows, (row) => row.id, (row) => campaignRow(row, here));
     const found = rows.length > 0;
     const searching = Boolean(search.value.trim() || status.value || tags.size || query.get("experiment"));
@@ -147,7 +147,7 @@ function campaignRow(first, here) {
   const followUps = h("button.quiet.fold", { type: "button", hidden: true, onclick: () => here.toggleFollowUps(first.id) });
   const about = h("div.small.muted", null, `${plainId(first.problem)} · ${plainId(first.algorithm)} · seed ${first.seed} `,
     first.experiment && h("a", { href: link("experiments", first.experiment) }, "experiment"),
-    first.repeats_of && h("a", { href: link("campaigns", first.repeats_of) }, "follow-up"));
+    first.follow_up_of && h("a", { href: link("campaigns", first.follow_up_of) }, "follow-up"));
   const state = badge(first.status);
   const done = meter(`Simulations of ${first.name}`);
   const numbers = h("span.small");
@@ -184,7 +184,7 @@ function campaignRow(first, here) {
     if (drawn !== row.status) {
       drawn = row.status;
       const inside = actions.contains(document.activeElement);
-      replace(actions, context.may.steer && steering(row, context, polling, { clonable: !row.repeats_of }));
+      replace(actions, context.may.steer && steering(row, context, polling, { clonable: !row.follow_up_of }));
       if (inside) actions.querySelector("button")?.focus();
     }
   };

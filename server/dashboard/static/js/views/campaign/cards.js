@@ -192,8 +192,8 @@ export function repeatsCard(context, id) {
   }
 
   function which(one) {
-    const best = one.boundary && one.solutions.length < one.distinct;
-    const what = best ? `the best ${count(one.solutions.length)} of ${plural(one.distinct, "boundary solution")}` : one.boundary ? plural(one.solutions.length, "boundary solution") : one.solutions.length === 1 ? `solution ${one.solutions[0].number}` : plural(one.solutions.length, "selected solution");
+    const boundary = one.selection === "boundary", best = boundary && one.solutions.length < one.distinct;
+    const what = best ? `the best ${count(one.solutions.length)} of ${plural(one.distinct, "boundary solution")}` : boundary ? plural(one.solutions.length, "boundary solution") : one.solutions.length === 1 ? `solution ${one.solutions[0].number}` : plural(one.solutions.length, "selected solution");
     return `${what}, ${one.solutions.length === 1 ? "" : "each "}${count(one.repeats)} times`;
   }
 

@@ -1,4 +1,4 @@
-/** The card that asks more about the pairs of a campaign: do they hold, is the component to blame, which differences matter? */
+/** The card that asks more about the pairs of a campaign: one question for each kind of follow-up that the server offers. */
 
 import { isOpen } from "../../api.js";
 import { attribute, h, keyed, text } from "../../dom.js";
@@ -7,14 +7,7 @@ import { link } from "../../router.js";
 import { badge, meter } from "../../parts/elements.js";
 import { said } from "./words.js";
 
-const USUAL_REPEATS = 30;
 const MOST_REPEATS = 10_000;
-
-const QUESTIONS = {
-  confirm: { title: "Do they hold?", go: "Confirm", what: "Simulates both sides of each pair with other seeds, until it is confirmed or refuted that each keeps its verdict." },
-  component: { title: "Is the component to blame?", go: "Ask", what: "Simulates each unsafe side once more, in the same episode, with ground truth in place of the component." },
-  minimise: { title: "Which differences matter?", go: "Minimise", what: "Reverts the differences of each pair one by one, in the unsafe side's episode, as long as it stays unsafe." },
-};
 
 /**
  * Return the card; ``update`` takes the pairs of the campaign.
@@ -25,51 +18,58 @@ const QUESTIONS = {
  * @param {() => void} news Called when something has been requested.
  */
 export function followUps(context, id, asked, news) {
-  const repeats = h("input", { id: "confirmations", type: "number", min: 2, max: MOST_REPEATS, step: 1, value: USUAL_REPEATS, required: true, oninput: () => last && update(last) });
-  const rows = Object.keys(QUESTIONS).map((kind) => question(kind));
+  const questions = h("div");
   const card = h("section.card", { "aria-label": "Ask more about these pairs", hidden: true }, h("h2", null, "Ask more about these pairs"),
-    h("p.hint", null, "Each question is simulated as a campaign of its own; the pairs above follow it."), rows.map(({ node }) => node));
-  let last = null;
+    h("p.hint", null, "Each question is simulated as a campaign of its own; the pairs above follow it."), questions);
 
-  function question(kind) {
-    const { title, go, what } = QUESTIONS[kind];
+  function question({ kind, title, label, words, repeats: usual }) {
+    const repeats = usual && h("input", { id: `repeats-${kind}`, type: "number", min: 2, max: MOST_REPEATS, step: 1, value: usual, required: true, oninput: () => tell() });
     const cost = h("span.small.muted", { id: `cost-${kind}` });
-    const button = h("button", { type: "submit", "aria-describedby": `cost-${kind}` }, go);
-    const form = context.may.steer && h("form.inline", { onsubmit: (event) => { event.preventDefault(); ask(kind, button); } },
-      kind === "confirm" && [h("label", { for: "confirmations" }, "Most simulations of each side"), repeats], button, cost);
+    const button = h("button", { type: "submit", "aria-describedby": `cost-${kind}` }, label);
+    const form = context.may.steer && h("form.inline", { onsubmit: (event) => { event.preventDefault(); ask({ kind, ...(repeats ? { repeats: Number(repeats.value) } : {}) }, button); } },
+      repeats && [h("label", { for: `repeats-${kind}` }, "Most simulations of each side"), repeats], button, cost);
     const told = h("div");
-    const node = h("div.question", { role: "group", "aria-label": title }, h("h3", null, title), h("p", null, what), form || null, told);
-    return { kind, node, button, cost, told };
+    const node = h("div.question", { role: "group", "aria-label": title }, h("h3", null, title), h("p", null, words), form || null, told);
+    let offer = null;
+
+    function tell() {
+      attribute(button, "disabled", offer.reason ? "" : null);
+      text(cost, offer.reason ? said(offer.reason) : costWords(offer, repeats ? Number(repeats.value) : 1));
+    }
+
+    node.update = ([next, followUps]) => {
+      offer = next;
+      tell();
+      keyed(told, followUps, (one) => `${one.campaign} ${one.status}`, follower);
+    };
+    return node;
   }
 
-  async function ask(kind, button) {
+  async function ask(body, button) {
     button.disabled = true;
-    const body = { kind, ...(kind === "confirm" ? { repeats: Number(repeats.value) } : {}) };
     for (const [name, value] of Object.entries(asked())) if (value !== null) body[name] = value;
     const answer = await context.act("POST", `campaigns/${id}/pairs/follow-ups`, null, { json: body });
     button.disabled = false;
     if (answer) news();
   }
 
-  function update(read) {
-    last = read;
+  card.update = (read) => {
     card.hidden = read.evaluated === 0 || (read.complete && read.pairs.length === 0);
-    for (const { kind, button, cost, told } of rows) {
-      const offer = read.offers.find((one) => one.kind === kind);
-      attribute(button, "disabled", offer.reason ? "" : null);
-      text(cost, offer.reason ? said(offer.reason) : costWords(offer, Number(repeats.value)));
-      keyed(told, read.follow_ups.filter((one) => one.kind === kind).reverse(), (one) => `${one.campaign} ${one.status}`, follower);
-    }
-  }
+    const rows = read.offers.map((offer) => [offer, read.follow_ups.filter((one) => one.kind === offer.kind).reverse()]);
+    keyed(questions, rows, ([{ kind }]) => kind, updated);
+  };
 
-  card.update = update;
+  function updated(row) {
+    const node = question(row[0]);
+    node.update(row);
+    return node;
+  }
   return card;
 }
 
-function costWords({ kind, simulations, left_out }, repeats) {
+function costWords({ exact, simulations, left_out }, repeats) {
   const others = left_out ? ` Leaves out ${plural(left_out, "pair")} with different seeds on the two sides.` : "";
-  if (kind === "component") return `${plural(simulations, "simulation")}.`;
-  return `At most ${plural(kind === "confirm" ? simulations * repeats : simulations, "simulation")}.${others}`;
+  return `${exact ? "" : "At most "}${plural(simulations * repeats, "simulation")}.${others}`;
 }
 
 /** Return one line about a follow-up: its status and, while it is open, how far it is. */

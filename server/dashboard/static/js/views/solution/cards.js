@@ -219,7 +219,7 @@ export function repeats(context, campaign, number) {
     const found = read.map((one) => ({ ...one, result: one.solutions.find((solution) => solution.number === number) })).filter((one) => one.result).reverse();
     table.hidden = found.length === 0;
     replace(rows, found.map(({ result, ...one }) => h("tr", null,
-      h("td", null, h("a", { href: link("campaigns", one.campaign) }, one.boundary ? (one.solutions.length < one.distinct ? `best ${count(one.solutions.length)} of the boundary` : "whole boundary") : one.solutions.length > 1 ? `this and ${plural(one.solutions.length - 1, "other")}` : "this solution")),
+      h("td", null, h("a", { href: link("campaigns", one.campaign) }, one.selection === "boundary" ? (one.solutions.length < one.distinct ? `best ${count(one.solutions.length)} of the boundary` : "whole boundary") : one.solutions.length > 1 ? `this and ${plural(one.solutions.length - 1, "other")}` : "this solution")),
       h("td", null, badge(one.status)),
       h("td.right", null, `${count(result.evaluated)} of ${count(one.repeats)}`), h("td.right", null, count(result.unsafe)),
       h("td.right", null, result.evaluated ? percent(result.probability) : "–"),

@@ -1,0 +1,1 @@
+"""The kinds of follow-ups, one module each."""
