@@ -16,7 +16,7 @@ from brink.sim.encounter.reference import COLLISION, Driver
 from brink.sim.episode import EpisodeSpec
 
 MAX_SHARE: Final[dict[Driver, float]] = {Driver.CAREFUL: 0.05, Driver.IDEAL: 0.0}
-"""Largest share of drives with a collision among those that are safe for the system."""
+"""Largest acceptable share of drives with a collision, among drives that are safe for the system."""
 EMPTY_ROADS: Final = 5
 
 

@@ -33,7 +33,7 @@ from brink.server.problems.urban_injected import UrbanInjected, UrbanInjectedPar
 from brink.sim.episode import EpisodeSpec
 
 CODE: Final = ("sim",)
-"""Code that determines what an episode gives; which episodes run is compared by digest."""
+"""Code that determines the outcome of an episode; the episodes themselves are compared by digest."""
 FRESH_SEED: Final = 2_001
 SEARCHES: Final[Mapping[str, tuple[str, Mapping[str, Any]]]] = {
     "MLCSHE": ("mlcshe@1", {"radius": 0.3, "p_th": 0.1}),

@@ -78,7 +78,7 @@ class StallingProblem(Load):
     """The unit disc, as in ``load@1``."""
 
     id: ClassVar[str] = PROBLEM
-    summary: ClassVar[str] = "Stalls where it is told to."
+    summary: ClassVar[str] = "Stalls on demand."
     params_type: ClassVar[type[Any]] = StallParams
 
     def __init__(self, params: StallParams) -> None:
@@ -120,7 +120,7 @@ class StallingSearch(RandomSearch):
     """Random search that stalls."""
 
     id = ALGORITHM
-    summary = "Random search that stalls where it is told to."
+    summary = "Random search that stalls on demand."
     config_type = StallingConfig
 
     def ask(self, state: RandomSearchState) -> tuple[RandomSearchState, tuple[Candidate, ...]]:

@@ -43,7 +43,7 @@ PAUSES_S: Final[Mapping[str, float]] = {
 }
 """Time between two requests of a probe."""
 MOST_LATENCY_S: Final = 1.0
-"""Target for the worst latency beside a disturbance."""
+"""Target for the worst latency during a disturbance."""
 MOST_EXIT_S: Final = 10.0
 """Target for the time from SIGTERM to the end of the process."""
 GIVE_UP_S: Final = 30.0

@@ -36,7 +36,7 @@ from brink.search.tempering import effective_size, posterior_draws, resampled
 LEVELS: Final = 32
 """Steps of severity between 0 and 1; errors are simulated at whole steps."""
 BEYOND: Final = 1.1
-"""Stands for a severity beyond the scale in the width of an interval, so that "never" is told from "at its end"."""
+"""Stands for severities beyond the scale in the width of an interval, so that "never" differs from "at its end"."""
 LIBRARY: Final = 300_000
 """Curves of the library; a search uses fewer."""
 FALLING: Final = 0.15
@@ -250,7 +250,7 @@ class Curve:
         low: Lower end of its interval, same shape.
         high: Upper end of its interval, same shape.
         tolerated: Severity at which the share reaches the limit; infinite where it probably never does.
-        fall: Where more error is safer; None if it nowhere clearly is.
+        fall: Where a larger error is safer; None if it nowhere clearly is.
         draws: Curves drawn from the posterior, shape ``(DRAWS, LEVELS + 1)``.
     """
 

@@ -268,13 +268,13 @@ def _context(
     analyses = ReadThreads(SLOW_AT_ONCE, "brink-analyses", limit_s=settings.read_limit_s)
     archives = Archives(engines=engines, stepper=stepper, threads=pages)
     drawing = ReadThreads(
-        SLOW_AT_ONCE, "brink-draw", limit_s=DRAWING_LIMIT_S, instead="ask for a still image (png)"
+        SLOW_AT_ONCE, "brink-draw", limit_s=DRAWING_LIMIT_S, instead="request a still image (png)"
     )
     fits = ReadThreads(
         SLOW_AT_ONCE,
         "brink-fits",
         limit_s=FIT_LIMIT_S,
-        instead="fit the monitor on your machine with `brink monitor fit`, and ask its file",
+        instead="fit the monitor on your machine with `brink monitor fit`, and use its file",
     )
     scores = ReadThreads(
         SLOW_AT_ONCE,
@@ -282,7 +282,7 @@ def _context(
         limit_s=SCORES_LIMIT_S,
         most_pending=MOST_SCORED,
         patient=True,
-        instead="ask about one campaign instead of an experiment, or for pairs with a smaller eps",
+        instead="query one campaign instead of an experiment, or pairs with a smaller eps",
     )
     return Context(
         settings=settings,

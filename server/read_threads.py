@@ -27,7 +27,7 @@ RETRY_AFTER_S: Final = 10
 STOPPING: Final = "the coordinator is stopping"
 _CLOSED: Final = 0.0
 """When functions were due that end because their threads are closed."""
-ASK_FOR_LESS: Final = "ask for less, such as a larger d_th, a smaller t_b, eps or limit"
+ASK_FOR_LESS: Final = "request less, for example with a larger d_th, a smaller t_b, eps or limit"
 
 
 class ReadThreads(ThreadPoolExecutor):
@@ -119,8 +119,7 @@ class ReadThreads(ThreadPoolExecutor):
             raise Unavailable(STOPPING)
         if deadline.is_over:
             raise TooCostly(
-                f"this read waited for others for more than the {self._limit_s:g} s that it may take; try again "
-                "when fewer are made",
+                f"this read waited longer than the {self._limit_s:g} s it may take; try again when fewer are pending",
                 retry_after_s=RETRY_AFTER_S,
             )
         try:
@@ -130,7 +129,7 @@ class ReadThreads(ThreadPoolExecutor):
             if deadline.due_s == _CLOSED:
                 raise Unavailable(STOPPING) from None
             raise TooCostly(
-                f"this read was ended after {self._limit_s:g} s, the most that it may take; {self._instead}, or "
-                "try again when fewer costly reads are made",
+                f"this read was ended after {self._limit_s:g} s, its time limit; {self._instead}, or try again "
+                "when fewer costly reads are pending",
                 retry_after_s=RETRY_AFTER_S,
             ) from None

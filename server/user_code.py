@@ -378,7 +378,7 @@ class UserCode:
             self._stalled.append(call)
             self.timeouts += 1
         log.error(
-            "%s does not return; nobody waits for it any more", call.what, extra={"caller": call.caller}
+            "%s does not return; nobody is waiting for it any more", call.what, extra={"caller": call.caller}
         )
 
 

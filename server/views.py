@@ -56,7 +56,7 @@ class ActivityView(View):
         dict[str, dict[str, Any]],
         Field(description="Values as the episode had them: a time window that its end cut off ends there."),
     ]
-    idle: Annotated[list[str], Field(description="Components that had no part in the episode.")]
+    idle: Annotated[list[str], Field(description="Components that were inactive in the episode.")]
 
 
 class SolutionView(View):
@@ -119,13 +119,13 @@ class SolutionView(View):
     titles: Annotated[
         dict[str, str],
         Field(
-            description="What people read in place of a parameter's name, with its unit, by component.parameter; the "
-            "others are read by name. Only for a single solution."
+            description="Display names of parameters, with their units, by component.parameter; the others go "
+            "by their names. Only for a single solution."
         ),
     ] = {}
     activity: Annotated[
         ActivityView | None,
-        Field(description="Which of them had a part in the episode; null if that was not recorded."),
+        Field(description="Which of them were active in the episode; null if that was not recorded."),
     ] = None
     verdicts: Annotated[dict[str, Any] | None, Field(description="Verdicts of all requirements.")] = None
     features: dict[str, Any] | None = None

@@ -250,7 +250,7 @@ def other_source(sources: Mapping[str, str]) -> str | None:
 
 
 def is_own_plugin(group: str, plugin_id: str) -> bool:
-    """Return whether a plug-in is part of Brink, and not code that a user brought; loads nothing.
+    """Return whether a plug-in is part of Brink, and not code of users; loads nothing.
 
     Raises:
         KeyError: No plug-in has this id.

@@ -14,7 +14,9 @@ from brink.sim.perception.user_files import DEFAULT_DETECTOR
 
 
 def errors(
-    recorded: Annotated[int, typer.Option(min=5, help="Drives with the camera that the fit is to.")] = 400,
+    recorded: Annotated[
+        int, typer.Option(min=5, help="Drives with the camera to which errors are fitted.")
+    ] = 400,
     drives: Annotated[int, typer.Option(min=10, help="Drives with the fitted errors.")] = 2000,
     camera: Annotated[
         int, typer.Option(min=0, help="Other drives with the camera, without --campaign.")
@@ -29,7 +31,7 @@ def errors(
         ),
     ] = None,
     detector: Annotated[str, typer.Option(help="Id of the detector.")] = DEFAULT_DETECTOR,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the drives that are compared.")] = 6,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the drives to compare.")] = 6,
     processes: Processes = 2,
     out: Annotated[Path, typer.Option(help="Folder for recorded drives, which are kept.")] = RESULTS
     / "bench-errors",

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def monitor_accuracy(
     drives: Annotated[
-        int, typer.Option(min=100, help="Random drives that each monitor is fitted to.")
+        int, typer.Option(min=100, help="Random drives to which each monitor is fitted.")
     ] = 1300,
     fresh: Annotated[int, typer.Option(min=100, help="Fresh random drives.")] = 2000,
     seeds: Annotated[int, typer.Option(min=1, help="Number of training sets.")] = 4,
@@ -87,7 +87,7 @@ def monitor_accuracy(
 
 def guard(
     drives: Annotated[int, typer.Option(min=100, help="Fresh random drives.")] = 2000,
-    training: Annotated[int, typer.Option(min=100, help="Drives that each guard is fitted to.")] = 1300,
+    training: Annotated[int, typer.Option(min=100, help="Drives to which each guard is fitted.")] = 1300,
     sets: Annotated[
         list[str] | None,
         typer.Option(

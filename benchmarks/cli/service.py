@@ -97,7 +97,7 @@ def queue(
 
 def stalls(
     seconds: Annotated[
-        float, typer.Option(min=1, max=600, help="How long others are timed beside each disturbance.")
+        float, typer.Option(min=1, max=600, help="How long others are timed during each disturbance.")
     ] = 20.0,
     only: Annotated[
         list[str] | None,
@@ -127,7 +127,7 @@ def stalls(
     ]
     table = value_table(
         (
-            "beside it, worst ms (of idle)",
+            "during it, worst ms (of idle)",
             *PROBES,
             "cancel s",
             "exit s",
@@ -178,7 +178,7 @@ def chaos(
         "verdicts or jobs lost": findings.lost,
         "verdicts or jobs counted twice": findings.doubled,
         "verdicts or jobs stuck": findings.stuck,
-        "jobs charged for what is nobody's fault": findings.charged,
+        "jobs charged for faults of others": findings.charged,
         "internal errors": findings.errors,
     }
     undisturbed = outcome.same == len(outcome.digests)

@@ -13,7 +13,7 @@ from brink.search.space import BoolArray, FloatArray
 
 DRIVES: Final = (5, 10, 20, 50, 100, 200, 500)
 SIMULATED: Final = 300
-"""Drives of the campaign that the curve rests on."""
+"""Drives of the campaign on which the curve is based."""
 _CAMPAIGNS_SEED: Final = 1
 
 

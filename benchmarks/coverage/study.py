@@ -29,11 +29,11 @@ class Claim(StrEnum):
     """The promise of a nominal rate."""
 
     AT_LEAST = "at least"
-    """An interval covers the truth at least so often."""
+    """An interval covers the truth at least this often."""
     AT_MOST = "at most"
-    """An error happens at most so often."""
+    """An error occurs at most this often."""
     NONE = ""
-    """Nothing: the rate is there to compare with."""
+    """Nothing: the rate serves as a comparison."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

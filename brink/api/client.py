@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 TIMEOUT: Final = httpx.Timeout(90.0, connect=5.0)
 COMPUTED_WAIT_S: Final = 5
-"""How long the coordinator may hold a request for what it still computes."""
+"""How long the coordinator may hold a request while it computes the response."""
 COMPUTED_POLL_S: Final = 1.0
 
 

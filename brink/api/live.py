@@ -21,7 +21,7 @@ from brink.server.states import CampaignStatus
 
 PLAIN_EVERY_S = 10.0
 FIRST_LINE_S = 2.0
-"""After how long a command that is not on a terminal says for the first time what it is doing."""
+"""How long a command without a terminal waits before it first reports what it is doing."""
 BARS = "▁▂▃▄▅▆▇█"
 SERIES_WIDTH = 40
 

@@ -45,7 +45,7 @@ class FetchedArchive:
         body: The campaign file.
         plan: Problem and algorithm of the campaign.
         archive: All evaluated solutions.
-        active: Which parameters had a part in each episode, shape ``(n, d)``; None from an older coordinator.
+        active: Which parameters were active in each episode, shape ``(n, d)``; None from an older coordinator.
         seeds: Episode seed of each solution, shape ``(n,)``; None from an older coordinator.
         digests: Digest of the episode of each solution, empty if it had none; None from an older coordinator.
         generations: Size of the archive after each generation.

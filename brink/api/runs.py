@@ -96,7 +96,7 @@ class CampaignRun:
         changed = changed_sources(latest.body.sources, make_plan(self.body).body.sources)
         if changed is not None:
             self.note = (
-                f"campaign {latest.id} was simulated with other code of {changed}, so it is left as it is"
+                f"campaign {latest.id} was simulated with other code of {changed}, so it is left unchanged"
             )
             return None
         return await api.read(Progress, f"/campaigns/{latest.id}/progress")

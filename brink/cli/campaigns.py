@@ -189,7 +189,9 @@ def status(
     Example: brink status --tag night --search rain
     """
     if campaign is not None and (tags or search):
-        raise InvalidInput.at("--tag" if tags else "--search", "expected it without ID: it lists campaigns")
+        raise InvalidInput.at(
+            "--tag" if tags else "--search", "cannot be combined with ID: it lists campaigns"
+        )
     asked = {
         "limit": MOST_LISTED,
         **({"tag": tags} if tags else {}),
@@ -486,7 +488,7 @@ def note(
     campaign: CampaignId,
     text: Annotated[
         str | None,
-        typer.Argument(metavar="[TEXT]", help="The notes from now on; empty for none.", show_default=False),
+        typer.Argument(metavar="[TEXT]", help="The new notes; empty for none.", show_default=False),
     ] = None,
     database: Database = None,
     server: Server = None,

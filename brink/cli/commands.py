@@ -28,10 +28,10 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     },
     "Inspect": {
         "status": ("brink.cli.campaigns:status", "Show campaigns, or the progress of one"),
-        "findings": ("brink.cli.kinds:findings", "Show all that a campaign found, or one kind of it"),
+        "findings": ("brink.cli.kinds:findings", "Show the findings of a campaign, or one kind"),
         "results": ("brink.cli.campaigns:results", "Show or export distinct boundary solutions"),
         "pairs": ("brink.cli.pairs:pairs", "Show or export safe and unsafe drives side by side"),
-        "tolerance": ("brink.cli.tolerance:tolerance", "Show how gross a component's errors may be"),
+        "tolerance": ("brink.cli.tolerance:tolerance", "Show how severe a component's errors may be"),
         "violations": ("brink.cli.findings:violations", "Show the types of violations found"),
         "combinations": ("brink.cli.findings:combinations", "Show hazardous chains of perturbations"),
         "compare": ("brink.cli.compare:compare", "Compare campaigns, each with its control"),
@@ -44,7 +44,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "repeats": ("brink.cli.repeats:repeats", "Simulate boundary solutions again with other seeds"),
         "sensitivity": ("brink.cli.sensitivity:sensitivity", "Measure how settings change a boundary"),
         "monitor": ("brink.cli.monitor:monitor", "Turn a campaign into a safety monitor"),
-        "errors": ("brink.cli.errors:errors", "Drive the errors of a recorded detector"),
+        "errors": ("brink.cli.errors:errors", "Fit the errors of a recorded detector and simulate them"),
         "guard": ("brink.cli.guard:guard", "Turn a campaign into a runtime monitor in the car"),
     },
     "Control": {
@@ -85,7 +85,7 @@ class PlainCommand(TyperCommand):
                 if given.count(one) > 1:
                     name = f"'{one.opts[0]}'"
                     raise typer.BadParameter(
-                        "expected it once; use one call for each", ctx=ctx, param_hint=name
+                        "may be given only once; use one call for each", ctx=ctx, param_hint=name
                     )
         return super().parse_args(ctx, args)
 

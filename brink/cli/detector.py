@@ -103,12 +103,10 @@ def chosen_format(form: Format | None, out: Path | None, *, as_json: bool, pages
     """
     if as_json:
         if form is not None or out is not None:
-            raise InvalidInput.at("--json", "expected --json without --format and --out")
+            raise InvalidInput.at("--json", "cannot be combined with --format and --out")
         return Format.JSON
     if form is Format.HTML and not pages:
-        raise InvalidInput.at(
-            "--format", "html: expected it with --detections or --episodes, or: brink report ID"
-        )
+        raise InvalidInput.at("--format", "html: requires --detections or --episodes, or: brink report ID")
     if out is None:
         return form or Format.TABLE
     named = out.suffix.removeprefix(".").lower()

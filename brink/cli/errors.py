@@ -44,7 +44,7 @@ from brink.server.errors import InvalidInput
 
 errors = typer.Typer(
     name="errors",
-    help="Fit the errors of a recorded detector, and drive them in the simulator.",
+    help="Fit the errors of a recorded detector, and simulate drives with them.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -69,10 +69,10 @@ def fit(
         typer.Option(
             metavar="TYPE",
             show_default=False,
-            help=f"Leave errors of a type out, to see what they contribute: {', '.join(TYPES)}; may be repeated.",
+            help=f"Leave out errors of a type, to see what they contribute: {', '.join(TYPES)}; may be repeated.",
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="File to write, with every number and what it rests on.")] = Path(
+    out: Annotated[Path, typer.Option(help="File to write, with every number and its samples.")] = Path(
         "errors.yaml"
     ),
     campaign: Annotated[

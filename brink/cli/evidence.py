@@ -94,7 +94,7 @@ def evidence(
 
     Of a boundary with more than 1,000 solutions, the best 1,000 are exported.
 
-    After a search for pairs, export these: tables, what is known of them, and pictures of the best ones.
+    After a search for pairs, export these: tables, the evidence for them, and pictures of the best ones.
 
     Without --server, this machine runs the episodes again; with it, the coordinator's workers do.
 
@@ -287,7 +287,7 @@ def _readme(
 def _pairs_words(fetched: FetchedArchive) -> list[str]:
     return [
         "This campaign searched for pairs across the boundary: two neighbouring solutions, one safe and "
-        f"one unsafe. `brink pairs {fetched.id}` shows them, and simulates them again if it is asked to."
+        f"one unsafe. `brink pairs {fetched.id}` shows them, and can simulate them again."
     ]
 
 

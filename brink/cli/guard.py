@@ -83,7 +83,7 @@ def fit(
     sensor: Annotated[
         Sensor,
         typer.Option(
-            help="What the car has: the detector's boxes alone, or also a coarse forward range sensor."
+            help="Sensors of the car: the detector's boxes alone, or also a coarse forward range sensor."
         ),
     ] = Sensor.BOXES,
     requirement: Annotated[
@@ -349,7 +349,7 @@ def _check_fresh(file: Path, model: GuardModel, source: _Source) -> None:
     fetched = [one.fetched for one in source.parts if one.fetched is not None]
     if own := fitted_among(model.about, fetched):
         raise Conflict(
-            f"{fitted_words(file, own)}: judge it on other drives, best on fresh ones (--drives 2000)"
+            f"{fitted_words(file, own)}: evaluate it on other drives, ideally fresh ones (--drives 2000)"
         )
     drawn = model.about.get("random")
     if source.random and isinstance(drawn, dict) and drawn.get("seed") == source.seed:
@@ -360,8 +360,8 @@ def _check_fresh(file: Path, model: GuardModel, source: _Source) -> None:
     for part in source.parts:
         if repeated := seen.repeats(part.specs):
             raise Conflict(
-                f"{file} was fitted to {repeated:,} of the {len(part.specs):,} solutions of {part.whose}: judge it "
-                "on other drives, best on fresh ones (--drives 2000)"
+                f"{file} was fitted to {repeated:,} of the {len(part.specs):,} solutions of {part.whose}: "
+                "evaluate it on other drives, ideally fresh ones (--drives 2000)"
             )
 
 

@@ -389,7 +389,9 @@ def _print_recommendation(loop: GuardedLoop, best: Condition | None) -> None:
             f"prevented, {worth.caused:,} caused), and safe drives lose {_percent(worth.distance_lost_when_safe, 1)}"
         )
         if loop.bounds(best):
-            text += "; it is the last one of those tried, so that one beyond it may be better (--threshold)"
+            text += (
+                "; it is at the end of the range tried, so a threshold beyond it may be better (--threshold)"
+            )
     console().print(text, soft_wrap=True)
 
 

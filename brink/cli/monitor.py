@@ -256,11 +256,11 @@ def _check_fresh(file: Path, campaigns: Sequence[FetchedArchive]) -> None:
     words = fitted_words(file, own)
     if len(own) == len(campaigns):
         raise Conflict(
-            f"{words}: how well it does on what it has learned from says nothing; judge it on another campaign on "
-            "the same problem, best a random search (random@1) with another seed"
+            f"{words}: its performance on its own training data is meaningless; evaluate it on another campaign on "
+            "the same problem, ideally a random search (random@1) with another seed"
         )
     console(stderr=True).print(
-        f"{words}: what it has learned from is left out, and the rest of that search resembles it",
+        f"{words}: its training data is left out, but the rest of that search is similar",
         soft_wrap=True,
         style="yellow",
     )

@@ -116,7 +116,7 @@ class PairFindings:
     async def draw(self, drawing: Drawing) -> list[Path]:
         """Draw the pair with the best evidence if the search was for pairs; return the files.
 
-        If an earlier run drew another one, that is drawn again, because more may be known of it by now.
+        If an earlier run drew another one, that is drawn again, because there may be new evidence for it.
         """
         if not self.searched or not self._view.pairs or drawing.stop.is_set():
             return []

@@ -93,7 +93,7 @@ def pairs(
         typer.Option(
             metavar="N FILE",
             show_default=False,
-            help="Draw pair N: both drives at the moment that matters (.png).",
+            help="Draw pair N: both drives at the decisive moment (.png).",
         ),
     ] = None,
     film: Annotated[
@@ -107,10 +107,7 @@ def pairs(
         typer.Option("--minimise", help="Revert differences one by one first, to find those that matter."),
     ] = False,
     results: Annotated[
-        Path,
-        typer.Option(
-            help="Folder for results that brink run had as --out: its files are brought up to date."
-        ),
+        Path, typer.Option(help="Folder given to brink run as --out, whose files are updated.")
     ] = RESULTS,
     workers: Workers = 2,
     database: Database = None,
@@ -158,7 +155,7 @@ def pairs(
         ]
         if ignored:
             raise InvalidInput.at(
-                drawn[0][0], f"expected it without {' and '.join(ignored)}: draw the pair alone"
+                drawn[0][0], f"cannot be combined with {' and '.join(ignored)}: draw the pair alone"
             )
     complete = True
     screen = console(stderr=as_json or (wanted is not Format.TABLE and out is None))
@@ -302,7 +299,7 @@ def _format(form: Format | None, out: Path | None, *, as_json: bool) -> Format:
         InvalidInput: The options contradict each other.
     """
     if as_json and (form is not None or out is not None):
-        raise InvalidInput.at("--json", "expected --json without --format and --out: it prints all details")
+        raise InvalidInput.at("--json", "cannot be combined with --format and --out: it prints all details")
     if out is None:
         if form is Format.PARQUET:
             raise InvalidInput.at("--out", "expected a file to write Parquet to, such as --out pairs.parquet")

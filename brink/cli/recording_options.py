@@ -167,7 +167,7 @@ class GivenRecording:
         options = ReadOptions() if self.calibration is None else read_settings(self.calibration)
         if self.camera is not None:
             if options.camera is not None:
-                raise InvalidInput.at("--camera", f"expected it without a camera in {self.calibration}")
+                raise InvalidInput.at("--camera", f"cannot be combined with a camera in {self.calibration}")
             options = replace(options, camera=CameraModel.level(*self.camera))
         return replace(
             options,

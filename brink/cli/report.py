@@ -18,7 +18,11 @@ def report(
     out: Annotated[Path, typer.Option(help="File to write: .html.")] = Path("report.html"),
     pairs: Annotated[
         int,
-        typer.Option(min=0, max=20, help="Most pairs to show in full, with pictures; others are in a table."),
+        typer.Option(
+            min=0,
+            max=20,
+            help="Maximum number of pairs to show in full, with pictures; others are in a table.",
+        ),
     ] = MOST_PAIRS,
     episodes: Annotated[
         str | None,

@@ -76,12 +76,12 @@ async def update_pairs(api: Api, campaign: str, out: Path, screen: Console) -> N
     folder = results_folder(out, fetched.body.name, fetched.id)
     if not (folder / _PAIRS).is_file():
         screen.print(
-            f"no files of a run to bring up to date in {folder}; --results names another folder than {out}",
+            f"no files of a run to update in {folder}; --results names another folder than {out}",
             soft_wrap=True,
             style="dim",
         )
         return
-    with Steps(screen, "bringing the files of the run up to date") as steps:
+    with Steps(screen, "updating the files of the run") as steps:
         pairs = await fetch_pair_findings(api, fetched)
         if not isinstance(pairs, PairFindings) or not pairs.differs_from(folder / _PAIRS):
             return
@@ -102,4 +102,4 @@ async def update_pairs(api: Api, campaign: str, out: Path, screen: Console) -> N
             others = [path for path in folder.glob("*.png") if not path.name.startswith("pair-")]
             written.append(await write_report(api, fetched.id, folder, [*written, *others], show=steps.show))
     names = ", ".join(path.name for path in written)
-    screen.print(f"brought up to date in {folder}: {names}", soft_wrap=True)
+    screen.print(f"updated in {folder}: {names}", soft_wrap=True)

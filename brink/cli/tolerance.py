@@ -66,7 +66,7 @@ def tolerance(
             metavar="NAME",
             show_default=False,
             help=f"What is printed or written: {', '.join(Format)} (default: by the name of --out, else table). Or "
-            f"the format of --detections: {', '.join(formats_by_name())} (default: recognised). May be said of both.",
+            f"the format of --detections: {', '.join(formats_by_name())} (default: recognised). Applies to both.",
         ),
     ] = None,
     out: Annotated[
@@ -163,7 +163,7 @@ def tolerance(
     """
     if coco is not None:
         if detections is not None or truth is not None:
-            raise InvalidInput.at("--coco", "expected it without --detections and --truth")
+            raise InvalidInput.at("--coco", "cannot be combined with --detections or --truth")
         (truth, detections), forms = coco, [*(forms or ()), "coco"]
     given = [
         name
@@ -171,7 +171,7 @@ def tolerance(
         if value is not None
     ]
     if len(given) > 1:
-        raise InvalidInput.at(given[1], f"expected it without {given[0]}")
+        raise InvalidInput.at(given[1], f"cannot be combined with {given[0]}")
     form, recording_format = _formats(forms or (), detections)
     _refuse_unused(
         detections is not None,
@@ -193,12 +193,12 @@ def tolerance(
     is_check = detections is not None or episodes is not None
     _refuse_unused(is_check, "--detections or --episodes", {"--gate": gate})
     if gate and thresholds is not None:
-        raise InvalidInput.at("--gate", "expected it without --thresholds: it takes one threshold")
+        raise InvalidInput.at("--gate", "cannot be combined with --thresholds: it takes one threshold")
     check_picture(picture)
     if against is not None:
         for name, value in (("--format", form), ("--out", out), ("--picture", picture)):
             if value is not None:
-                raise InvalidInput.at(name, "expected it without --against")
+                raise InvalidInput.at(name, "cannot be combined with --against")
         _compare(campaign, against, server, database, as_json=as_json)
         return
     form = chosen_format(form, out, as_json=as_json, pages=is_check)
@@ -240,7 +240,7 @@ def _refuse_unused(is_used: bool, by: str, options: Mapping[str, object]) -> Non
     """
     unused = [name for name, value in options.items() if value]
     if unused and not is_used:
-        raise InvalidInput.at(unused[0], f"expected it with {by}")
+        raise InvalidInput.at(unused[0], f"requires {by}")
 
 
 def _formats(given: Sequence[str], detections: Path | None) -> tuple[Format | None, str | None]:
@@ -384,8 +384,8 @@ def show_tolerance(screen: Console, view: ToleranceView, *, briefly: bool = Fals
     screen.print(table)
     if view.audited:
         screen.print(
-            f"drives that hold with the grossest error are taken to hold with milder ones; of {view.audited} "
-            f"that were simulated all the same, {view.leaks} violated",
+            f"drives that hold with the most severe error are assumed to hold with milder ones; of {view.audited} "
+            f"that were simulated nevertheless, {view.leaks} violated",
             soft_wrap=True,
             style="dim",
         )

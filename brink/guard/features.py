@@ -244,7 +244,7 @@ class FeatureExtractor:
 
     Args:
         route: The route of the drive.
-        conditions: What the car knows of time of day and weather.
+        conditions: What the car knows about the time of day and the weather.
         ranges: Whether the car has a range sensor.
     """
 

@@ -92,7 +92,7 @@ class GuardedLoop:
         specs: The drives without the guard.
         seed: Seed of each drive's draw.
         without: Their outcomes.
-        sights: What could have been known of each violation among them; None for the other drives.
+        sights: The warning signs of each violation among them; None for the other drives.
         conditions: The same drives with the guard, in the order of the thresholds.
     """
 

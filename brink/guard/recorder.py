@@ -122,7 +122,7 @@ class ObservedDrive:
 
     Attributes:
         route: The route of the drive.
-        conditions: What the car knows of the conditions.
+        conditions: What the car knows about the conditions.
         moments: What a guard receives in each control step, in order.
         result: The result of the episode.
     """

@@ -59,7 +59,7 @@ class TimeToCollision:
 
     Args:
         route: The route of the drive.
-        conditions: What the car knows of time of day and weather.
+        conditions: What the car knows about the time of day and the weather.
         threshold: The alarm is raised from this probability of a violation within two seconds on; by default 0.5,
             which is a time to collision of two seconds.
     """

@@ -234,7 +234,7 @@ _INSTEAD: Final = {
     "pedestrian": "a person is there",
     PARKED: "a parked car is there",
 }
-"""What is said of an obstacle at the place of something else."""
+"""Captions of an obstacle at the position of something else."""
 
 
 class MapView:

@@ -71,7 +71,7 @@ class Side:
         name: What the drive is called, in one word; by default ``safe`` or ``unsafe``.
         car: What its car is called on a map; by default ``safe drive`` or ``unsafe drive``.
         chip: Word that pictures put before what happened, in capitals; by default whether it held the requirement.
-        outcome: What happened, in words; by default what the trace tells.
+        outcome: What happened, in words; by default according to the trace.
         again: What simulating it again with other seeds showed, in words; empty leaves that to the facts.
         shown_s: Time at which a still image shows it; by default the moment of the pair.
     """
@@ -111,7 +111,7 @@ class DrivePair:
         change: What differs between them, in words; each line is a line of the headline.
         findings: What the pair shows about the component and about chance, in sentences.
         facts: Further facts about the pair, such as its distance.
-        requirement: Ids of the requirements that tell them apart; for the default see `story_of`.
+        requirement: Ids of the requirements that distinguish them; for the default see `story_of`.
         unsafe_first: Whether the unsafe drive is shown first.
         about_reports: Whether the drives differ in what is reported to the driving systems, which pictures then show.
         marks: Further moments of the safe drive to name.

@@ -26,7 +26,7 @@ _NOTES: Final[Mapping[str, str]] = {
     "ideal": "avoidable only by braking at once",
     "no": "not avoidable by braking",
 }
-"""What is said of violations, by who avoids them."""
+"""Phrases for violations, by who avoids them."""
 _EXPLANATIONS: Final[Mapping[str, str]] = {
     "careful": (
         "The careful driver is that of UN Regulation No. 157, Annex 3: sees all road users, takes 0.4 s to judge a "

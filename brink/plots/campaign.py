@@ -261,8 +261,8 @@ def figure_parameters(inputs: CampaignFigures) -> Figure:
     figure = new_figure(
         height_px,
         f"{inputs.title}: unsafe share by parameter",
-        "Share of unsafe solutions by value; numbers in bins of equal size, without those that had no part in their "
-        f"drive. Hollow: fewer than {FEWEST_IN_BIN} solutions. Line: overall share, {share_text(overall)}.\n"
+        "Share of unsafe solutions by value; numbers in bins of equal size, without those that were inactive "
+        f"in their drive. Hollow: fewer than {FEWEST_IN_BIN} solutions. Line: overall share, {share_text(overall)}.\n"
         "Strongest dependence first (Cramér's V). A search does not sample evenly, and its solutions descend from "
         "each other: this shows where unsafe solutions were found, not why.",
     )

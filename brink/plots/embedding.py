@@ -404,7 +404,7 @@ def _draw_tint_key(figure: Figure, inputs: CampaignFigures, top: float) -> None:
     figure.text(
         left + 38 / WIDTH_PX,
         top - 59 / HEIGHT_PX,
-        "too few simulations nearby to tell",
+        "too few simulations nearby",
         fontsize=SMALL_PT,
         color=MUTED,
         va="center",

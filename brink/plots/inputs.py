@@ -37,7 +37,7 @@ class CampaignFigures:
         t_b: Maximum fitness of a boundary solution.
         d_th: Minimum distance between distinct boundary solutions.
         words: What the verdicts are about; None if that is unknown.
-        active: Which parameters had a part in each episode, shape ``(n, d)``; None if that was not recorded.
+        active: Which parameters were active in each episode, shape ``(n, d)``; None if that was not recorded.
         pairs: Numbers of the safe and the unsafe side of each distinct pair, in the order of their list, if the
             campaign searched for pairs; None if it searched for something else.
         too_many_pairs: Whether there are too many pairs to mark any.

@@ -58,7 +58,7 @@ def figure_pair(inputs: CampaignFigures, pair: PairFigure) -> Figure:
     """Plot a pair.
 
     A problem of two numbers is drawn in its own plane, to scale, with all solutions and a close-up of the pair. Any
-    other problem has a row for each parameter in which the two solutions differ, if it had a part in either episode.
+    other problem has a row for each parameter in which the two solutions differ, if it was active in either episode.
 
     Args:
         inputs: The campaign.
@@ -204,7 +204,7 @@ def _by_parameter(
     words = f"The other {same} parameters are the same." if same > 1 else ""
     if hidden:
         differ = f"{'more ' if differing else ''}{'differs' if hidden == 1 else 'differ'}"
-        words = f"{hidden} {differ} but had no part in either episode."
+        words = f"{hidden} {differ} but were inactive in both episodes."
         words += f" The other {same - hidden} are the same." if same > hidden + 1 else ""
     axes.text(0, -0.02, words, transform=axes.transAxes, va="top", fontsize=TICK_PT, color=MUTED)
     add_legend(figure, _keys(pair), top_px - 56, handlelength=1.0)

@@ -51,7 +51,7 @@ def figure_tolerance(view: ToleranceView) -> Figure:
     height_px = _TOP_PX + rows * _ROW_PX + _BOTTOM_PX
     figure = new_figure(
         height_px,
-        f"How gross an error may be: {view.name}",
+        f"How severe an error may be: {view.name}",
         f"Share of drives that violate because of the error, with intervals of {view.confidence:.0%}. "
         f"Dots: where the limit of {view.limit:.0%} is reached.",
     )

@@ -28,7 +28,7 @@ class Campaign:
         algorithm_params: The same for the algorithm.
         odd: Operational design domain: limits by component.parameter, each one value, a list of choices, or a mapping
             with ``min``, ``max`` or both.
-        start_from: What is known already: an earlier campaign, its result or id, or a data frame with a column for
+        start_from: Prior knowledge: an earlier campaign, its result or id, or a data frame with a column for
             each parameter and one for ``robustness``.
         more: Further fields of the campaign file, such as ``repeats`` or ``execution``.
     """

@@ -89,7 +89,7 @@ def archive_frame(archive: Archive, space: SearchSpace, active: BoolArray | None
     Args:
         archive: The solutions.
         space: Their search space.
-        active: Which parameters had a part in each episode, shape ``(n, d)``; the others are left empty. None keeps
+        active: Which parameters were active in each episode, shape ``(n, d)``; the others are left empty. None keeps
             all.
 
     Returns:

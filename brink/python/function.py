@@ -48,7 +48,7 @@ async def search_async(
     Args:
         function: Called with the values of the parameters by name. It returns a number, negative if the requirement
             is violated, in whatever unit; or a mapping with that number as ``robustness`` and objectives to minimise.
-            If chance has a part in it, give it an argument ``seed`` and draw from a generator with that seed.
+            If it depends on chance, give it an argument ``seed`` and draw from a generator with that seed.
         space: Its parameters by name, such as ``{"speed": (5.0, 30.0, "m/s"), "lanes": range(2, 5), "road": ["dry",
             "wet"]}``, or such mappings by component, which ``mlcshe@1`` needs two of.
         algorithm: Id of the algorithm.
@@ -58,7 +58,7 @@ async def search_async(
         name: Name of the campaign; by default that of the function.
         workers: Number of worker processes.
         timeout_s: Wall-clock limit of a call.
-        start_from: What is known already: an earlier search, its result or id, or a data frame with a column for each
+        start_from: Prior knowledge: an earlier search, its result or id, or a data frame with a column for each
             parameter and one for ``robustness``.
         database: URL of the database, or the path of a SQLite file; by default ``BRINK_DATABASE``, else ``brink.db``.
         resume: Whether to continue an unfinished search with the same function and settings.

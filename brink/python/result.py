@@ -203,7 +203,7 @@ class AsyncResult(CampaignResult):
         """Return all evaluated solutions as a data frame, one row each.
 
         Returns:
-            The columns ``number``, one for each parameter (empty where it had no part in the drive), ``unsafe``,
+            The columns ``number``, one for each parameter (empty where it was inactive), ``unsafe``,
             ``robustness`` (negative if unsafe), ``fitness`` (distance from the boundary), ``neighbours``,
             ``unsafe_neighbours`` and ``outcome``, in words.
 
@@ -278,7 +278,7 @@ class AsyncResult(CampaignResult):
             component: Whether to simulate the unsafe sides with ground truth in place of the component: who is to
                 blame?
             minimise: Whether to revert the differences one by one: which of them matter?
-            limit: Most pairs to ask about, first ones first.
+            limit: Maximum number of pairs to follow up, first ones first.
             workers: Worker processes, unless a coordinator elsewhere has its own.
 
         Returns:

@@ -103,7 +103,7 @@ def _solution(place: int, row: Mapping[Any, Any], columns: Mapping[str, str | No
         raise InvalidInput.at(
             "start_from",
             f"row {place}: expected a value of {empty[0]}, got none; to start from a campaign's results, whose "
-            "parameters without a part in the drive are empty, pass the result itself",
+            "inactive parameters are empty, pass the result itself",
         )
     robustness = _plain(row.get(ROBUSTNESS))
     return {"values": values} if robustness is None else {"values": values, ROBUSTNESS: robustness}

@@ -134,7 +134,7 @@ def fit_errors(
     """
     if len(meters) < FEWEST_DRIVES:
         raise RecordingError(
-            f"expected at least {FEWEST_DRIVES} drives, to tell how uncertain the fit is; got {len(meters)}"
+            f"expected at least {FEWEST_DRIVES} drives, to estimate the uncertainty of the fit; got {len(meters)}"
         )
     read = [_read(meter) for meter in meters]
     fit = _Fit(read)

@@ -46,7 +46,7 @@ def read_recording(
         detections: The file or folder with what the detector reported.
         truth: The file or folder with the true road users; None if it is the same.
         format: Name of the format; None to recognise it.
-        options: What the user says of the recording.
+        options: The user's settings for the recording.
 
     Raises:
         RecordingError: The format is unknown, or the files cannot be used.

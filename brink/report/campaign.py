@@ -98,7 +98,7 @@ def _compose(facts: Facts, kinds: Mapping[str, KindPictures], pictures: Mapping[
     """Return the report of a campaign as an HTML page.
 
     Args:
-        facts: What is known of the campaign.
+        facts: The facts about the campaign.
         kinds: The pictures that only some kinds of its findings have.
         pictures: The files of all pictures, by name; those that are missing are left out.
     """

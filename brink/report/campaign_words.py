@@ -83,7 +83,7 @@ def verdicts(facts: Facts) -> list[str]:
         )
         return _of_odd([words], view.odd)
     if not view.requirements:
-        how = "computed: chance has no part in them" if facts.computed else "given by the problem itself"
+        how = "computed: they are deterministic" if facts.computed else "given by the problem itself"
         return _of_odd([f"{unsafe}, {safe:,} safe; the verdicts are {how}."], view.odd)
     these = "this requirement" if len(view.requirements) == 1 else "these requirements"
     told = [f"{unsafe}: {'it' if facts.unsafe == 1 else 'they'} {view.kinds[OutcomeKind.VIOLATED]}."]
@@ -156,7 +156,7 @@ def uncertainties(facts: Facts) -> list[str]:
             f"{chosen}, so shares of simulated drives say nothing about how often something happens in traffic."
         )
     told.append(
-        "Nothing was evaluated outside the search space that is listed under “What was not looked at”."
+        "Nothing was evaluated outside the search space that is listed under “What was not examined”."
     )
     return told
 
@@ -165,8 +165,8 @@ def trust(facts: Facts, pictures: Mapping[str, KindPictures]) -> list[Term]:
     """Return how far the result can be trusted, term by term.
 
     Args:
-        facts: What is known of the campaign.
-        pictures: What only some kinds of findings tell.
+        facts: The facts about the campaign.
+        pictures: Sentences that only some kinds of findings have.
     """
     many = f"{facts.noun}s"
     terms = []

@@ -139,7 +139,8 @@ def error_sentences(fitted: FittedErrors) -> list[str]:
                 f"than {3.0 / max(fitted.hours, 1e-9):.0f} an hour. The drives have none."
             )
     lines += [
-        f"No {group} in the recording: the drives report each as it is, and say nothing of the detector there."
+        f"No {group} in the recording: the drives report these correctly, and say nothing about the detector "
+        "for them."
         for group in fitted.unknown
     ]
     if fitted.without:
@@ -228,6 +229,6 @@ def agreement_words(one: Violations, other: Violations) -> str:
         f"{100.0 * apart:+.2f} points, {CONFIDENCE:.0%} interval {100.0 * low:+.2f} to {100.0 * high:+.2f}"
     )
     if low <= 0.0 <= high:
-        return f"The two agree as far as these drives tell: their difference is {points}."
+        return f"The two agree as far as these drives show: their difference is {points}."
     more, less = (one, other) if apart > 0.0 else (other, one)
     return f"The two differ: drives of {more.name} violate more often than those of {less.name} ({points})."

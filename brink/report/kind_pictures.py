@@ -1,4 +1,4 @@
-"""The pictures that only one kind of finding has in a report, and what else a report tells of that kind alone.
+"""Pictures and sentences that a report has for only one kind of finding.
 
 `PICTURES` is the only place in reports that knows kinds by name.
 """
@@ -59,12 +59,12 @@ class KindPictures:
     """What only one kind of finding has in a report: by default, nothing.
 
     Args:
-        facts: What is known of the campaign.
+        facts: The facts about the campaign.
         finding: Its finding of the kind.
         most_pairs: Most pairs to show in full.
 
     Attributes:
-        trust: How far the finding can be trusted, as far as only the report tells.
+        trust: How far the finding can be trusted, where only the report states it.
         elsewhere: What random search found with the same settings, in words; empty if that is unknown.
     """
 
@@ -180,7 +180,7 @@ def _side_words(noun: str, side: SideView, again: str) -> str:
 
 
 class _Tolerances(KindPictures):
-    """The share of drives that violate because of each error, against how gross it is."""
+    """The share of drives that violate because of each error, against its severity."""
 
     _view: ToleranceView
 
@@ -197,7 +197,7 @@ class _Tolerances(KindPictures):
         return [file]
 
     def illustrate(self, section: Section, album: Album) -> Section:
-        words = "Share of drives that violate because of an error, against how gross the error is"
+        words = "Share of drives that violate because of an error, against the severity of the error"
         return replace(section, pictures=album("tolerance.png", words))
 
 
@@ -299,7 +299,7 @@ async def read_pictures(api: Api, facts: Facts, most_pairs: int = MOST_PAIRS) ->
 
     Args:
         api: Coordinator of the campaign.
-        facts: What is known of the campaign.
+        facts: The facts about the campaign.
         most_pairs: Most pairs to show in full.
     """
     found = {one.kind: one for one in facts.found}
@@ -318,7 +318,7 @@ async def draw_pictures(
 
     Args:
         drawing: The campaign and the folder.
-        facts: What is known of the campaign.
+        facts: The facts about the campaign.
         pictures: Those of its kinds of findings.
     """
     files = [file for one in pictures.values() for file in await one.draw(drawing)]

@@ -100,7 +100,7 @@ def headline(pair: PairView) -> str:
 
 
 def facts(view: PairsView, pair: PairView) -> list[str]:
-    """Return which pair it is and what else is known of it, in sentences."""
+    """Return the number of the pair and further facts about it, in sentences."""
     return [f"Pair {pair.place} of {view.distinct} of {view.name}.", *pair.facts]
 
 

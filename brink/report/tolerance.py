@@ -25,7 +25,7 @@ def requirement_document(view: ToleranceView, picture: str | None = None) -> str
     ]
     if picture is not None:
         lines += [
-            f"![Share of drives that violate because of the error, against how gross it is]({picture})",
+            f"![Share of drives that violate because of the error, against its severity]({picture})",
             "",
         ]
     for title, finding in _SECTIONS.items():
@@ -34,7 +34,7 @@ def requirement_document(view: ToleranceView, picture: str | None = None) -> str
             lines += [f"## {title}", "", *(f"- {cell.sentence}" for cell in cells), ""]
     falls = [cell for cell in view.cells if cell.fall is not None]
     if falls:
-        lines += ["## Where more error is safer", ""]
+        lines += ["## Where a larger error is safer", ""]
         lines += [
             f"- {cell.error}, {cell.condition}: {cell.fall.words}." for cell in falls if cell.fall is not None
         ]
@@ -50,15 +50,16 @@ def requirement_document(view: ToleranceView, picture: str | None = None) -> str
     lines += [
         "",
         f"Intervals of tolerated magnitudes cover {view.confidence:.0%}, those of this table 95%.",
-        f"{view.audited} drives that hold with the grossest error were simulated with milder ones; {view.leaks} of "
+        f"{view.audited} drives that hold with the most severe error were simulated with milder ones; "
+        f"{view.leaks} of "
         "them violated.",
     ]
     return "\n".join(lines) + "\n"
 
 
 _SCREENING: Final = (
-    "A drive is vulnerable if the grossest error concerning the same road users makes it violate. Milder errors were "
-    "simulated in these drives alone.",
+    "A drive is vulnerable if the most severe error concerning the same road users makes it violate. Milder "
+    "errors were simulated only in these drives.",
     "",
 )
 _SECTIONS: Final = {

@@ -44,7 +44,7 @@ class ParameterColumn:
         component: Name of its component.
         parameter: The parameter.
         values: Stored values, numbers or indices of choices, shape ``(n,)``.
-        active: Where the value had a part in the episode, shape ``(n,)``; numbers of a dormant block are stored as 0.
+        active: Where the value was active in the episode, shape ``(n,)``; numbers of a dormant block are stored as 0.
     """
 
     component: str
@@ -73,7 +73,7 @@ def parameter_columns(
     Args:
         space: The search space.
         vectors: Complete solutions as rows, shape ``(n, d)``.
-        recorded: Which entries had a part in their episodes, shape ``(n, d)``; without it, all but those of dormant
+        recorded: Which entries were active in their episodes, shape ``(n, d)``; without it, all but those of dormant
             blocks.
     """
     columns: list[ParameterColumn] = []
@@ -133,7 +133,7 @@ def dependences(space: SearchSpace, archive: Archive, recorded: BoolArray | None
     Args:
         space: The search space.
         archive: The evaluated solutions.
-        recorded: Which parameters had a part in each episode, as in `parameter_columns`.
+        recorded: Which parameters were active in each episode, as in `parameter_columns`.
     """
     columns = parameter_columns(space, archive.vectors, recorded)
     by_column = [_dependence(column, archive.unsafe) for column in columns]

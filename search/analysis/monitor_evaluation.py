@@ -325,7 +325,7 @@ def evaluate_monitor(
     rows, truth = np.asarray(vectors, np.float64)[fresh], unsafe[fresh]
     if truth.all() or not truth.any():
         raise ValueError(
-            "expected both safe and unsafe solutions that the monitor has not learned from, "
+            "expected both safe and unsafe solutions that the monitor was not fitted to, "
             f"got {int(truth.sum())} unsafe of {truth.size}"
         )
     risks = monitor.score(rows)

@@ -5,8 +5,8 @@ parameters and other seeds, counts once: it is safe if all its verdicts are, uns
 Chancy solutions are on neither side of a pair. A pair is *checked* if each of its sides was simulated with at least
 two different seeds.
 
-Two solutions that differ in nothing that had a part in either of their episodes are no pair, although they are near
-and have opposite verdicts: the episodes were the same but for chance.
+Two near solutions with opposite verdicts are no pair if they differ in no parameter that was active in either of
+their episodes, which then differed only by chance.
 
 Pairs are *distinct* if their midpoints are at least d_th apart. They are taken greedily: checked pairs first, then by
 distance, then by number.
@@ -32,7 +32,7 @@ _CHUNK_CELLS: Final = 4_000_000
 _BLOCK: Final = 1_000
 """Midpoints compared at a time."""
 HadPart: TypeAlias = Callable[[IntArray], BoolArray]
-"""Returns for the solutions at n positions of an archive which parameters had a part in the episode of each.
+"""Returns for the solutions at n positions of an archive which parameters were active in the episode of each.
 
 The result has the shape ``(n, d)``.
 """
@@ -94,7 +94,7 @@ class FoundPairs:
     Attributes:
         pairs: Distinct pairs in the order in which they were taken.
         tight: Number of tight pairs, distinct or not.
-        without_part: Number of near solutions with opposite verdicts that differ in nothing that had a part.
+        without_part: Number of near solutions with opposite verdicts that differ in no active parameter.
         chancy: Number of solutions whose simulations had different verdicts.
         safe: Number of safe solutions, each counted once.
         unsafe: Number of unsafe solutions, each counted once.
@@ -155,7 +155,7 @@ def find_pairs(
         eps: Largest distance between the sides of a pair, unless they are one step apart in a single parameter.
         d_th: Smallest distance between the midpoints of two distinct pairs.
         seeds: Episode seed of each solution, shape ``(n,)``; None if each was simulated with a seed of its own.
-        had_part: Tells which parameters had a part in the episodes; None if all may have had one.
+        had_part: Tells which parameters were active in the episodes; None if all may have been.
 
     Raises:
         TooManyPairs: There are more than `MOST_TIGHT` tight or `MOST_DISTINCT` distinct pairs.

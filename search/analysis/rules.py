@@ -130,7 +130,7 @@ def region_rules(
         inside: Which solutions are in the region, shape ``(n,)``; neither all nor none.
         region: The region in words.
         seed: Seed of the tree and of the folds.
-        recorded: Which parameters had a part in each episode, as in `parameter_columns`.
+        recorded: Which parameters were active in each episode, as in `parameter_columns`.
 
     Raises:
         MissingExtra: scikit-learn is not installed.

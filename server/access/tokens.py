@@ -19,7 +19,7 @@ SECRET_BYTES: Final = 24
 _FORM: Final = re.compile(r"brink_(?P<scope>[a-z]+)_(?P<id>[0-9a-f]{8})_[0-9a-f]{48}")
 _JOBS: Final = ("/api/v1/jobs/lease", "/api/v1/jobs/heartbeat", "/api/v1/jobs/results")
 _DRAINS: Final = re.compile(r"/api/v1/workers/[^/]*/drain/?")
-"""Whoever has a worker exit should be able to start another one."""
+"""Draining a worker requires the rights to start another one."""
 _READS: Final = frozenset({"GET", "HEAD"})
 
 

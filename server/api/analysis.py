@@ -132,7 +132,7 @@ class MapView(View):
         dict[OutcomeKind, str], Field(description="What the solutions of each kind have in common.")
     ]
     outcomes_in_words: Annotated[
-        str, Field(description="How many drives held the requirements, and what they violated nevertheless.")
+        str, Field(description="How many drives held the requirements, and which others they violated.")
     ]
     robustness: list[float]
     x: list[float]
@@ -352,9 +352,7 @@ class DependenceView(View):
 
     component: str
     parameter: str
-    title: Annotated[
-        str, Field(description="What people read in place of its name; empty for its name in words.")
-    ]
+    title: Annotated[str, Field(description="Display name; empty for the name in words.")]
     unit: str
     places: Annotated[
         list[float],
@@ -532,7 +530,7 @@ class RiskView(View):
     ]
     nearest: Annotated[float, Field(description="Distance to the nearest evaluated solution.")]
     unlike: Annotated[
-        str, Field(description="In what the solution is unlike anything evaluated; empty if it is not.")
+        str, Field(description="How the solution differs from anything evaluated; empty if it does not.")
     ]
     answer: Annotated[
         Answer,

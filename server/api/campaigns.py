@@ -328,7 +328,7 @@ def read_progress(
         archive: Archive of an ended campaign, if it could be read.
         asking: What a language model is being asked for this campaign, if anything.
         trouble: Why the database rejects writes, if it does.
-        results: Reads the results that the search has not been told yet.
+        results: Reads the results that the search has not received yet.
 
     Raises:
         NotFound: The campaign does not exist.
@@ -442,16 +442,14 @@ class Overview(View):
     ]
     finds: Annotated[
         list[list[str]],
-        Field(description="Kinds of findings that its algorithm finds, what it is for first."),
+        Field(description="Kinds of findings that its algorithm finds, its main purpose first."),
     ]
-    found_kind: Annotated[
-        list[str], Field(description="Kind of that finding; empty if there are no words about it.")
-    ]
+    found_kind: Annotated[list[str], Field(description="Kind of that finding; empty if there is none.")]
     found: Annotated[
         list[str | None],
         Field(
-            description="What it found, in a few words; empty while it runs, unless it searches for the boundary; "
-            "null while the words are being worked out."
+            description="Its finding, in a few words; empty while it runs, unless it searches for the "
+            "boundary; null while it is being computed."
         ),
     ]
     created_at: list[datetime]

@@ -331,9 +331,11 @@ class ReferenceView(View):
     name: Annotated[str, Field(description="Such as `careful driver`.")]
     sentences: Annotated[
         list[str],
-        Field(description="What the system did, and what the driver does instead, in a sentence each."),
+        Field(description="The actions of the system, and those of the driver instead, in a sentence each."),
     ]
-    explanation: Annotated[str, Field(description="Who the driver is, and who the others are, in sentences.")]
+    explanation: Annotated[
+        str, Field(description="Explanation of the driver and the other road users, in sentences.")
+    ]
     avoided_by: Annotated[
         str,
         Field(description="That the driver avoids it without braking, in a sentence; empty if it brakes."),

@@ -59,7 +59,7 @@ class PairStandingView(View):
             description="Confirmed distinct pairs of a campaign; null unless all pairs of all campaigns were judged."
         ),
     ]
-    known: Annotated[int, Field(description="Campaigns of whose pairs all were judged, or that have none.")]
+    known: Annotated[int, Field(description="Campaigns whose pairs were all judged, or that have none.")]
     pairs: Annotated[int, Field(description="Distinct pairs of all campaigns.")]
     checked: Annotated[int, Field(description="Checked ones among them.")]
     tried: Annotated[int, Field(description="Those simulated again with other seeds after the search.")]
@@ -143,7 +143,7 @@ class LeftOutView(View):
     method: str
     seed: int
     campaign: str
-    reason: Annotated[str, Field(description="What is too many, and which setting helps.")]
+    reason: Annotated[str, Field(description="Which limit is exceeded, and which setting helps.")]
 
 
 class ProblemPairs(View):
@@ -151,7 +151,7 @@ class ProblemPairs(View):
 
     problem: str
     measure: PairMeasure
-    says: Annotated[str, Field(description="What they are compared on, and why.")]
+    says: Annotated[str, Field(description="The measure of the comparison, and why.")]
 
 
 class ExperimentPairs(View):

@@ -35,7 +35,7 @@ class OutcomesView(View):
     words: Annotated[
         str,
         Field(
-            description="How many drives held the requirements, what they violated nevertheless, and in which ODD."
+            description="How many drives held the requirements, which others they violated, and in which ODD."
         ),
     ]
     odd: Annotated[

@@ -46,7 +46,7 @@ class CampaignView(View):
     tags: list[str] = Field(default_factory=list)
     notes: str = ""
     finds: Annotated[
-        list[str], Field(description="Kinds of findings that its algorithm finds, what it is for first.")
+        list[str], Field(description="Kinds of findings that its algorithm finds, its main purpose first.")
     ] = Field(default_factory=list)
     body: CampaignBody
     thresholds: Thresholds
@@ -135,11 +135,11 @@ class Progress(View):
     failed: int
     measured: Annotated[int, Field(description="Candidates measured on a data set instead of simulated.")]
     reported: Annotated[
-        int, Field(description="Verdicts that workers have reported and the search has not been told yet.")
+        int, Field(description="Verdicts that workers have reported and the search has not received yet.")
     ] = 0
     reported_unsafe: Annotated[int, Field(description="Those of them that are unsafe.")] = 0
     reported_failed: Annotated[
-        int, Field(description="Failed simulations that the search has not been told yet.")
+        int, Field(description="Failed simulations that the search has not received yet.")
     ] = 0
     failure: Annotated[str, Field(description="The first error of a simulation that failed, if any.")] = ""
     quarantined: int
@@ -171,7 +171,7 @@ class Progress(View):
         ),
     ]
     finds: Annotated[
-        list[str], Field(description="Kinds of findings that its algorithm finds, what it is for first.")
+        list[str], Field(description="Kinds of findings that its algorithm finds, its main purpose first.")
     ] = Field(default_factory=list)
     origins: Annotated[
         dict[str, int],
@@ -179,7 +179,9 @@ class Progress(View):
     ]
     known: Annotated[
         KnownView | None,
-        Field(description="What the campaign started from, see `GET …/known`; null if from nothing."),
+        Field(
+            description="Known results and points of the campaign, see `GET …/known`; null if it has none."
+        ),
     ] = None
     asking: Annotated[str | None, Field(description="Current request to a language model, if any.")]
     trouble: Annotated[
@@ -324,7 +326,7 @@ class AlgorithmView(View):
     id: str
     summary: str
     params: Annotated[dict[str, Any], Field(description="JSON schema of its parameters.")]
-    finds: Annotated[list[str], Field(description="Kinds of findings that it finds, what it is for first.")]
+    finds: Annotated[list[str], Field(description="Kinds of findings that it finds, its main purpose first.")]
     internal: Annotated[bool, Field(description="Whether only Brink itself starts campaigns with it.")]
 
 

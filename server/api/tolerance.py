@@ -59,15 +59,15 @@ class DriveBody(BaseModel):
     measures: Annotated[
         dict[str, dict[str, FiniteFloat]],
         Field(
-            description="Magnitude of each type of error, by target; shares as fractions of 1. What the drive cannot "
-            "tell is missing."
+            description="Magnitude of each type of error, by target; shares as fractions of 1. Errors that the "
+            "drive does not show are missing."
         ),
     ]
     at_least: Annotated[
         dict[str, list[str]],
         Field(
             description="Types whose magnitude is a lower bound, by target, such as a miss at the end of a "
-            "recording. A lower bound of no error tells nothing."
+            "recording. A lower bound of no error is uninformative."
         ),
     ] = {}
 
@@ -103,7 +103,7 @@ class DetectorBody(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    detector: Annotated[str, Field(max_length=200, description="What to call it.")]
+    detector: Annotated[str, Field(max_length=200, description="Its name.")]
     drives: Annotated[list[DriveBody], Field(min_length=1, max_length=MOST_DRIVES)]
 
     @field_validator("drives")

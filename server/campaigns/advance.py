@@ -85,7 +85,7 @@ FIRST_FAILURES = 5
 """This many failures before any success pause a campaign at once, unless it allows most simulations to fail."""
 
 PLUGIN_STEPS_AT_ONCE: Final = 16
-"""Maximum number of campaigns with code that a user brought whose steps run at a time. They mostly wait for it."""
+"""Maximum number of campaigns with user code whose steps run at a time. They mostly wait for it."""
 KNOWN_CAMPAIGNS: Final = 10_000
 
 log = logging.getLogger(__name__)
@@ -140,7 +140,7 @@ class Stepper:
         self.take_over(campaign_id)
 
     def uses_user_code(self, campaign_id: str) -> bool:
-        """Return whether a campaign runs code that a user brought; reads the database unless that `is_known`."""
+        """Return whether a campaign runs user code; reads the database unless that `is_known`."""
         if not self.is_known(campaign_id):
             with self._engines.reader.connect() as connection:
                 campaign = CAMPAIGNS.find(connection, campaign_id)

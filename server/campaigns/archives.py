@@ -67,7 +67,7 @@ class ArchiveActivity:
 
     Attributes:
         recorded: Solutions whose activity was recorded, shape ``(n,)``.
-        active: Whether each parameter had a part, shape ``(n, d)``; true where it was not recorded.
+        active: Whether each parameter was active, shape ``(n, d)``; true where it was not recorded.
         effective: The solutions as their episodes had them, shape ``(n, d)``; as stored where it was not recorded.
     """
 

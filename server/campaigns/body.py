@@ -171,7 +171,7 @@ class StartFrom(Body):
     results: Annotated[
         bool,
         Field(
-            description="Whether to take over the campaign's results; if not, its solutions are simulated first, at "
+            description="Whether to use the campaign's results; if not, its solutions are simulated first, at "
             "the expense of the budget."
         ),
     ] = True
@@ -247,7 +247,7 @@ class CampaignBody(Body):
         ),
     ] = Field(default_factory=dict)
     tags: Tags = Field(default_factory=list, description="Short words by which to find the campaign again.")
-    notes: Annotated[Notes, Field(description="What people should know about the campaign.")] = ""
+    notes: Annotated[Notes, Field(description="Free-text notes about the campaign.")] = ""
 
     def within_odd(self, odd: Mapping[str, Any]) -> Self:
         """Return the campaign with further limits of its operational design domain; they replace limits it has.
@@ -283,12 +283,12 @@ class CampaignBody(Body):
 class CampaignChange(Body):
     """A change to the editable fields of a campaign; omitted fields stay as they are."""
 
-    tags: Annotated[Tags | None, Field(description="All tags from now on.")] = None
+    tags: Annotated[Tags | None, Field(description="All new tags.")] = None
     add_tags: Tags = Field(default_factory=list, description="Tags to add.")
     remove_tags: Tags = Field(
         default_factory=list, description="Tags to remove; those that it does not have are ignored."
     )
-    notes: Annotated[Notes | None, Field(description="The notes from now on.")] = None
+    notes: Annotated[Notes | None, Field(description="The new notes.")] = None
 
     @model_validator(mode="after")
     def _check_either_all_or_some(self) -> Self:

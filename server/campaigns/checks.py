@@ -45,7 +45,7 @@ class CheckThreads:
             check: Does it.
 
         Raises:
-            CodeStalled: Code that a user brought did not return in time, or is busy with other submissions.
+            CodeStalled: Code of users did not return in time, or is busy with other submissions.
             InvalidInput: The check says so, or such code raised an error.
         """
         loop = asyncio.get_running_loop()

@@ -121,7 +121,7 @@ class ReportedResults:
 
     def _of(self, campaign: Campaign) -> _Parsed:
         parsed = self._parsed.get(campaign.id)
-        if parsed is None:  # made without the lock: it may be code that a user brought
+        if parsed is None:  # made without the lock: it may be user code
             parsed = _Parsed(problem=_problem_of(campaign))
         with self._lock:
             parsed = self._parsed.setdefault(campaign.id, parsed)

@@ -67,7 +67,7 @@ class _Expected:
         problem: Its problem.
         algorithm: Id of its algorithm.
         objectives: The objectives that the algorithm needs.
-        user_code: Whether the problem is code that a user brought.
+        user_code: Whether the problem is user code.
     """
 
     problem: SimulatedProblem

@@ -1,7 +1,7 @@
 """Resolves a campaign's prior knowledge from an earlier campaign, and decides whether its results still apply.
 
 A result is taken over only if this campaign would have asked for the very same simulation: the same problem with the
-same parameters, and, for every solution, an episode with the same hash. Otherwise the campaign is refused, unless it
+same parameters, and, for every solution, an episode with the same hash. Otherwise the campaign is rejected, unless it
 asks for the solutions alone. Then they are simulated first, and cost as much as any others.
 
 Two campaigns may have different operational design domains. Solutions outside this campaign's are left out, and
@@ -122,7 +122,8 @@ def _check_same_problem(connection: Connection, source: Campaign, there: Plan, h
 
 def _not_here(source: Campaign, why: str) -> str:
     return (
-        f"the results of campaign {source.id} do not hold here: {why}. With start_from.results: false, its solutions "
+        f"the results of campaign {source.id} do not apply here: {why}. With start_from.results: false, its "
+        "solutions "
         "are simulated first instead"
     )
 
@@ -214,5 +215,5 @@ def _check_same_episodes(
         row = simulated[record.number]
         vectors = problem.space.split(np.frombuffer(record.vector, "<f8"))
         if with_sources(problem.episode(vectors, row.seed)).digest() != row.spec_hash:
-            why = f"the simulation of solution {record.number} would be another one now, so a file or plug-in changed"
+            why = f"solution {record.number} would be simulated differently now, as a file or plug-in has changed"
             _refuse(_not_here(source, why))

@@ -93,9 +93,9 @@ class FoundWords:
             return
         error = work.exception()
         if isinstance(error, TooCostly):
-            log.warning("campaign %s: what it found takes too long to tell", one.id)
+            log.warning("campaign %s: its finding takes too long to compute", one.id)
         elif error is not None and not isinstance(error, Unavailable):
-            log.error("campaign %s: what it found cannot be told", one.id, exc_info=error)
+            log.error("campaign %s: its finding cannot be computed", one.id, exc_info=error)
         with self._lock:
             self._pending.discard(one.id)
             if isinstance(error, Unavailable) and not isinstance(error, TooCostly):

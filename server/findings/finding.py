@@ -15,11 +15,11 @@ class Role(StrEnum):
     """Why a campaign has a kind of finding."""
 
     SOUGHT = "sought"
-    """Its algorithm or its problem is for this."""
+    """This is the purpose of its algorithm or its problem."""
     SIDE = "side"
-    """Its algorithm finds this beside what it is for."""
+    """Its algorithm also finds this."""
     MET = "met"
-    """It came across this."""
+    """It happened to find this."""
 
 
 class Term(View):
@@ -56,7 +56,7 @@ class Step(View):
         Field(description="The campaign that is simulating it, if it has been requested."),
     ] = None
     tells_more: Annotated[
-        bool, Field(description="Whether it tells more about what was found, rather than leads on.")
+        bool, Field(description="Whether it clarifies this finding, rather than starts something new.")
     ] = False
 
 
@@ -67,25 +67,26 @@ class Finding(View):
     title: str
     role: Role
     sentence: Annotated[str, Field(description="The finding in a sentence of at most 25 words.")]
-    more: Annotated[list[str], Field(description="What else is known, in sentences.")] = Field(
+    more: Annotated[list[str], Field(description="Further facts, in sentences.")] = Field(
         default_factory=list
     )
     purpose: Annotated[
         str,
-        Field(description="What a search for it does, in a sentence for people who have never seen Brink."),
+        Field(
+            description="The purpose of a search for it, in a sentence for people who have never seen Brink."
+        ),
     ] = ""
     example: Annotated[str, Field(description="An example, in a sentence.")] = ""
-    figures: Annotated[list[Term], Field(description="The numbers that matter.")] = Field(
+    figures: Annotated[list[Term], Field(description="The key figures.")] = Field(default_factory=list)
+    caveats: Annotated[list[str], Field(description="Its uncertainty and limits, in sentences.")] = Field(
         default_factory=list
     )
-    caveats: Annotated[
-        list[str], Field(description="What is uncertain about it, and what it does not say, in sentences.")
-    ] = Field(default_factory=list)
     trust: Annotated[list[Term], Field(description="How far it can be trusted, term by term.")] = Field(
         default_factory=list
     )
     legend: Annotated[
-        list[str], Field(description="What its words and the columns of its tables mean, in sentences.")
+        list[str],
+        Field(description="The meaning of its words and of the columns of its tables, in sentences."),
     ] = Field(default_factory=list)
     page: Annotated[
         str,
@@ -93,7 +94,7 @@ class Finding(View):
     ] = ""
     is_empty: Annotated[bool, Field(description="Whether nothing of the kind was found.")] = False
     view: Annotated[
-        Any, Field(description="What only this kind has; see its schema in the documentation.")
+        Any, Field(description="Details that only this kind has; see its schema in the documentation.")
     ] = None
     tables: list[Table] = Field(default_factory=list)
     steps: list[Step] = Field(default_factory=list)
@@ -117,18 +118,15 @@ class Findings(View):
     campaign: str
     complete: Annotated[bool, Field(description="Whether the campaign has ended.")]
     words: Annotated[str, Field(description="The first finding in a sentence.")]
-    more: Annotated[list[str], Field(description="What else is known, in sentences.")]
+    more: Annotated[list[str], Field(description="Further facts, in sentences.")]
     of: Annotated[FollowedView | None, Field(description="The campaign that this one follows up.")]
     exclusive: Annotated[
-        bool,
-        Field(
-            description="Whether its simulations were chosen so that they say nothing else than the first finding."
-        ),
+        bool, Field(description="Whether its simulations are informative only about the first finding.")
     ] = False
     findings: Annotated[
-        list[Finding], Field(description="All kinds that the campaign has, what it was for first.")
+        list[Finding], Field(description="All kinds that the campaign has, its main purpose first.")
     ]
-    steps: Annotated[list[Step], Field(description="What to do next, the most useful first.")]
+    steps: Annotated[list[Step], Field(description="Next steps, the most useful first.")]
 
     def of_kind(self, kind: str) -> Finding | None:
         """Return the finding of a kind; None if the campaign has none."""

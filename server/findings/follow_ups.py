@@ -1,4 +1,4 @@
-"""Response schemas of follow-ups: campaigns that simulate solutions of another one again."""
+"""Response schemas of follow-ups: campaigns that rerun solutions of another campaign."""
 
 from typing import Annotated
 

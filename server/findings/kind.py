@@ -1,7 +1,7 @@
 """The contract of a kind of finding, and the discovery of kinds.
 
 A kind is a folder of this package with a module `kind` that defines `KIND`, or a plug-in of the group
-``brink.findings``, which is called as all code of users is (`brink.server.user_code`): one that fails or hangs loses
+``brink.findings``, which is called like all user code (`brink.server.user_code`): one that fails or hangs loses
 its own finding and no other. Nothing lists them. Which campaigns have a kind follows from what their algorithm
 declares that it finds (`finds`), and from what their problem reports.
 """
@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 
 
 class Settings(BaseModel):
-    """What a kind can be asked with, by name as in the query of its address; a kind with settings has a subclass."""
+    """Query parameters of a kind of finding; a kind that has any defines a subclass."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -116,7 +116,7 @@ class Kind(ABC):
     Attributes:
         id: What algorithms declare in `finds`; names the finding in addresses.
         title: Heading.
-        rank: Of the kinds that a campaign is for, the one with the lowest rank is told first.
+        rank: Of the kinds that a campaign is for, the one with the lowest rank comes first.
         is_met: Whether any campaign may come across it.
         is_exclusive: Whether a campaign that is for this has no other findings, because its simulations are chosen
             so that they say nothing else.

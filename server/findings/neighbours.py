@@ -49,7 +49,7 @@ class Opposite(View):
     change: Annotated[str, Field(description="What differs in the unsafe one of the two, in words.")]
     differences: Annotated[int, Field(description="Number of parameters that differ.")]
     same_seed: Annotated[
-        bool, Field(description="Whether both had the same episode seed, so that chance has no part.")
+        bool, Field(description="Whether both had the same episode seed, which rules out chance.")
     ]
 
 

@@ -102,7 +102,7 @@ class _Known:
 
     Attributes:
         kinds: The kinds of findings that it has, those that it is for first, with why it has them.
-        reported: Verdicts that the search has not been told yet, and how many of them are unsafe.
+        reported: Verdicts that the search has not received yet, and how many of them are unsafe.
         of: The campaign that it follows up, if any.
     """
 
@@ -204,7 +204,7 @@ def _nothing_yet(known: _Known) -> str:
             return f"all {known.campaign.failed:,} simulations failed"
         return "no simulation had a verdict"
     return (
-        f"{unsafe:,} of the first {reported:,} drives {known.violated}; the search is told once its first "
+        f"{unsafe:,} of the first {reported:,} drives {known.violated}; the search continues once its first "
         "generation is complete"
     )
 
@@ -259,8 +259,8 @@ def _leading_on(known: _Known) -> list[Step]:
             Step(
                 kind="go on",
                 question="Is there more to find?",
-                label="Go on from these results",
-                words="Searches with another seed, from these results: they guide the search, and cost nothing.",
+                label="Continue from these results",
+                words="Searches with another seed, from these results: they guide the search at no cost.",
                 place=f"new?start_from={campaign.id}",
             )
         )

@@ -41,7 +41,7 @@ class Activity:
     `SearchSpace.column_names`. Distances, and DBS with them, ignore all of this and compare solutions as stored.
 
     Attributes:
-        active: Whether the parameter had a part in the episode, shape ``(d,)``.
+        active: Whether the parameter was active in the episode, shape ``(d,)``.
         effective: The solution as the episode had it, shape ``(d,)``. Where it differs from the stored solution, its
             episode with the same seed would be the same: a time window that the episode's end cut off ends there, and
             a trajectory that was never delivered has the label for none. A window may be shorter than the space
@@ -60,7 +60,7 @@ class SimulatedSolution:
 
     Attributes:
         vectors: The solution.
-        activity: What had a part in its episode; None if that was not recorded.
+        activity: The parameters that were active in its episode; None if that was not recorded.
         result: The stored result of its episode (`brink.worker.wire.Completed` as JSON); None if there is none.
     """
 
@@ -119,7 +119,7 @@ class BaseProblem(ABC):
         has_component: Whether it has a machine-learned component that ground truth can replace.
         terms_of_changes: What a term in descriptions of changes means that a reader may not know, such as
             ``reported: what the detector tells the driving system``.
-        about_component: What a finding says of a component of the user's own and what not, and how to check that, in
+        about_component: What a finding shows about a user's own component and what not, and how to check that, in
             sentences.
         errors_problem: Id of the problem that simulates errors of this problem's detector, for tolerances.
         usual_cells: The errors to begin with: parameters and those of their choices to study in combination.
@@ -314,8 +314,8 @@ class RatesMeasuredErrors(Protocol):
 
         Args:
             choices: Which error, as choices of parameters by component.parameter.
-            measures: The magnitude of each type of error in the drive, by target; what it cannot tell is missing.
-            at_least: Types whose magnitude is a lower bound, by target. Such a bound of no error tells nothing.
+            measures: The magnitude of each type of error in the drive, by target; what it does not show is missing.
+            at_least: Types whose magnitude is a lower bound, by target. Such a bound of no error is uninformative.
         """
         ...
 
@@ -358,7 +358,7 @@ def activity_of(problem: Problem, vectors: Vectors, result: Mapping[str, Any] | 
 
     Returns:
         None if it was not recorded: the result is missing or older than the record, or the problem, such as a
-        plug-in, does not tell. Then every parameter may have had a part.
+        plug-in, does not show it. Then every parameter may have been active.
     """
     features = (result or {}).get("features")
     return problem.activity(vectors, features) if isinstance(features, Mapping) else None

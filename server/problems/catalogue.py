@@ -200,7 +200,7 @@ def algorithms_that(supports: type[Any]) -> list[str]:
 
 
 def uses_user_code(problem_id: str, algorithm_id: str) -> bool:
-    """Return whether a campaign with this problem and algorithm runs code that a user brought; loads nothing.
+    """Return whether a campaign with this problem and algorithm runs user code; loads nothing.
 
     Plug-ins that are not installed here count as such.
     """
@@ -298,7 +298,7 @@ def check_extra(problem: Problem) -> None:
 def describe_problems(reported: Callable[[Problem], list[str]]) -> list[dict[str, Any]]:
     """Describe all problems, with the schemas of their parameters and their default search spaces.
 
-    Problems that a user brought are left out, with a line in the log, if they cannot be described.
+    Problems of users are left out, with a line in the log, if they cannot be described.
 
     Args:
         reported: Returns the kinds of findings that every campaign on a problem has.
@@ -309,7 +309,7 @@ def describe_problems(reported: Callable[[Problem], list[str]]) -> list[dict[str
 def describe_algorithms() -> list[dict[str, Any]]:
     """Describe all algorithms, with the schemas of their parameters.
 
-    Algorithms that a user brought are left out, with a line in the log, if they cannot be described.
+    Algorithms of users are left out, with a line in the log, if they cannot be described.
     """
     return _described(ALGORITHMS, _describe_algorithm)
 

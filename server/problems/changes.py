@@ -9,7 +9,7 @@ from brink.search.features import Unit
 from brink.search.parameters import Categorical, Parameter, Value
 from brink.server.problems.base import Problem, SimulatedSolution
 
-NOTHING_ACTIVE: Final = "the two differ in nothing that had a part in either drive"
+NOTHING_ACTIVE: Final = "the two differ in no parameter that was active in either drive"
 _MOST_DIGITS: Final = 9
 _NEXT_STEP: Final = ", then "
 """Between the steps of a chain of perturbations."""
@@ -24,7 +24,7 @@ class Change:
         units: Unit of each; empty for none.
         safe: Value of each in the safe solution, as it was chosen.
         unsafe: The same in the unsafe solution.
-        active: Whether it had a part in either episode; None if that was not recorded.
+        active: Whether it was active in either episode; None if that was not recorded.
         moved: How far it moved as a share of its range, in (0, 1], the larger of the two; None for a category.
     """
 
@@ -103,7 +103,7 @@ def moved_words(changes: Sequence[Change]) -> str:
     """Return how far the active parameters moved, as shares of their ranges.
 
     Returns:
-        Such as ``1 number moves by 24% of its range; 1 category changes``. Empty if nothing had a part.
+        Such as ``1 number moves by 24% of its range; 1 category changes``. Empty if nothing was active.
     """
     shown = [change for change in changes if change.active is not False]
     moved = [change for change in shown if change.moved is not None]
@@ -134,7 +134,7 @@ def change_words(
 ) -> str:
     """Return the change between two solutions in the problem's own words, or else its values.
 
-    Only what had a part in either episode is described.
+    Only parameters that were active in either episode are described.
 
     Args:
         problem: Their problem.

@@ -2,7 +2,7 @@
 
 A slot is a block of the behaviour's parameters: a categorical one that chooses the type of the error, possibly others
 that say more about it, and the error's numbers, which are dormant where there is none. `ErrorSlots` owns what these
-problems have in common: which slots had a part in an episode, and what differs between two candidates.
+problems have in common: which slots were active in an episode, and what differs between two candidates.
 `PerceptionErrors` adds severities, whose physical meaning a table of magnitudes gives.
 """
 
@@ -204,7 +204,7 @@ class ErrorSlots(SlottedBehaviour, Generic[E]):
     """A problem with an error in each slot.
 
     Attributes:
-        identity: Attributes of an error that tell what it is; with others, it is another error.
+        identity: Attributes that identify an error; if they differ, it is another error.
         lacking: How a change is described that takes away an error, which is filled in.
         episode_word: What an episode is called.
     """

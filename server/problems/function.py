@@ -27,7 +27,7 @@ class FunctionParams:
 
     function: str = setting("", help="Name of the function; brink.search() submits it from Python.")
     digest: str = setting("", help="SHA-256 of its code.")
-    takes_seed: bool = setting(False, help="Whether chance has a part in it: it then takes a seed.")
+    takes_seed: bool = setting(False, help="Whether it depends on chance: it then takes a seed.")
     space: dict[str, Any] = field(
         default_factory=_EXAMPLE.describe,
         metadata={"help": "Its search space, as brink.search() describes it."},

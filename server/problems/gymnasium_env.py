@@ -225,10 +225,10 @@ def behaviour_component(params: GymnasiumParams) -> Component:
 
 
 class GymnasiumProblem(ErrorSlots[Perturbation]):
-    """A policy in a Gymnasium environment, on perturbed observations."""
+    """A policy in a Gymnasium environment, with perturbed observations."""
 
     id: ClassVar[str] = "gymnasium@1"
-    summary: ClassVar[str] = "A policy in any Gymnasium environment, on perturbed observations."
+    summary: ClassVar[str] = "A policy in any Gymnasium environment, with perturbed observations."
     params_type: ClassVar[type[Any]] = GymnasiumParams
     extra = EXTRA
     modules = ("gymnasium",)

@@ -133,7 +133,7 @@ class HighwayPerception(PerceptionErrors[PerceptionError]):
         "highway-env: highway, merge, roundabout, intersection; errors of the perception."
     )
     params_type: ClassVar[type[Any]] = HighwayPerceptionParams
-    terms_of_changes = "perceived: what the driver knows of other vehicles, true or not"
+    terms_of_changes = "perceived: what the driver believes about other vehicles, true or not"
     about_component = (
         "The perception's errors are injected: results show what would happen if a perception erred like this, not "
         "that yours does."

@@ -12,7 +12,7 @@ from brink.search.traffic.participants import NONE, Action, Kind, ParameterNames
 from brink.server.problems.changes import different, instead
 
 MOST_TOLD: Final = 12
-"""Differences beyond which two candidates are far apart: then their number is told first."""
+"""Differences beyond which two candidates are far apart: then their number comes first."""
 _SHOWN: Final = 3
 """Changes that are described; the others are counted."""
 _ORDINALS: Final = ("1st", "2nd", "3rd", "4th", "5th", "6th", "7th", "8th")

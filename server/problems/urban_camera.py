@@ -1,6 +1,6 @@
 """The problem `urban-camera@1`: an urban scenario with a camera and an obstacle detector in the loop.
 
-The scenario is that of `urban-injected@1`. Episodes also tell how wrong the detector was, so that it can be held
+The scenario is that of `urban-injected@1`. Episodes also record the detector's errors, so that it can be checked
 against a requirement (docs/how-to/set-a-requirement.md).
 """
 

@@ -28,7 +28,7 @@ class UrbanFittedParams(UrbanParams):
     requirement: str | list[str] = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009
     errors: dict[str, Any] = field(
         default_factory=dict,
-        metadata={"help": "What brink errors fit wrote; without it, the detector makes no errors."},
+        metadata={"help": "The output of brink errors fit; without it, the detector makes no errors."},
     )
 
     def __post_init__(self) -> None:
@@ -56,8 +56,8 @@ class UrbanFitted(UrbanScenarios):
     summary: ClassVar[str] = "Urban driving with the errors of a recorded detector: 7 parameters."
     params_type: ClassVar[type[Any]] = UrbanFittedParams
     about_component = (
-        "The detector errs at random as in its recording: at the same distances as often and as long, whatever it "
-        "looks at and wherever that stands."
+        "The detector's errors are random, as frequent and as long as in its recording at the same distances, "
+        "whatever the road user and wherever it is."
     )
     simulator: ClassVar[str] = SIMULATOR
     params: UrbanFittedParams

@@ -159,7 +159,7 @@ class UrbanInjected(SlottedBehaviour):
     recorded = REQUIREMENTS
     acted_feature = b.DELIVERED
     terms_of_changes = (
-        "reported: what the search makes the detector report, the only thing that the driving system learns of "
+        "reported: what the search makes the detector report, the only thing that the driving system learns about "
         "other road users. Real ones are never reported, unless a made-up box happens to lie on one: pictures of a "
         "pair show what is there. Metres: where the driving system takes the reported thing to be, by its box"
     )

@@ -468,12 +468,12 @@ def _loss(row: JobRecord) -> _Failure:
     retry = times < row.max_losses
     if not retry:
         again = "" if times == 1 else f", the {times}th time that this job lost its worker"
-        error += f"{again}: does it kill its workers, or are they all stopped?"
+        error += f"{again}: does it kill its workers, or were they all stopped?"
     return _Failure(row=row, error=error, times=times, retry=retry)
 
 
 def _interruption(row: JobRecord) -> FailedAttempt:
-    reason = "lease expired after an outage of the coordinator, which counts for nobody"
+    reason = "lease expired after an outage of the coordinator, which is not charged to the job"
     return FailedAttempt(
         job=row.id,
         campaign=row.campaign_id,

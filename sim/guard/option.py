@@ -53,7 +53,7 @@ class MakeGuard(Protocol):
 
         Args:
             route: The route of the drive.
-            conditions: What the car knows of time of day and weather.
+            conditions: What the car knows about the time of day and the weather.
             threshold: Probability from which it raises the alarm; None takes its own.
         """
         ...
@@ -178,7 +178,7 @@ class GuardOption:
         Args:
             system: The driving system.
             route: The route of the drive.
-            conditions: What the car knows of time of day and weather.
+            conditions: What the car knows about the time of day and the weather.
             scan: Returns the range sensor's scan at a simulated time; None without a sensor.
         """
         guard = _maker(self.guard, self.digest)(route, conditions, self.threshold)

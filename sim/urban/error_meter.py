@@ -150,7 +150,7 @@ class DriveErrors:
     Attributes:
         magnitudes: Magnitude of each type of error, by target; what the drive cannot tell is missing.
         at_least: Types whose magnitude is a lower bound, by target: the drive was cut off at the time, or the road
-            user was never reported. A lower bound of no error tells nothing.
+            user was never reported. A lower bound of no error is uninformative.
         spans: When the worst error of those types occurred that have a time.
     """
 

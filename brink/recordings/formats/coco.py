@@ -45,7 +45,7 @@ def read(detections: Path, truth: Path | None, options: ReadOptions) -> Recordin
         truth: The data set. Images have ``video_id`` (or ``sequence``) and either ``time_s`` or ``frame_id`` (or
             ``frame_index``), and optionally ``condition``. Annotations have ``track_id``, and optionally ``iscrowd``,
             ``occlusion``, ``visible_share``, ``truncation``, ``distance_m``, ``lateral_m`` and ``target``.
-        options: What the user says of the recording.
+        options: The user's settings for the recording.
 
     Raises:
         RecordingError: A file is missing or cannot be used.

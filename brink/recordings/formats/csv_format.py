@@ -54,7 +54,7 @@ def read(detections: Path, truth: Path | None, options: ReadOptions) -> Recordin
     Args:
         detections: The file with detections; see `COLUMNS` and `OPTIONAL`.
         truth: Another file with the truth; None if there is one file.
-        options: What the user says of the recording.
+        options: The user's settings for the recording.
 
     Raises:
         RecordingError: A file is missing or cannot be used.

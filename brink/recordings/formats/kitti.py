@@ -95,7 +95,7 @@ def read(detections: Path, truth: Path | None, options: ReadOptions) -> Recordin
     Args:
         detections: The results, in 2D or 3D.
         truth: The labels.
-        options: What the user says of the recording.
+        options: The user's settings for the recording.
 
     Raises:
         RecordingError: A file is missing or cannot be used.

@@ -89,7 +89,7 @@ def read(detections: Path, truth: Path | None, options: ReadOptions) -> Recordin
     Args:
         detections: The folder with detections, by sequence: `NAME/det/det.txt` or `NAME.txt`.
         truth: The folder with sequences; None if it is the same.
-        options: What the user says of the recording.
+        options: The user's settings for the recording.
 
     Raises:
         RecordingError: A file is missing or cannot be used.

@@ -95,7 +95,7 @@ def read(detections: Path, truth: Path | None, options: ReadOptions) -> Recordin
     Args:
         detections: The file with the results.
         truth: The folder with the tables, or one with a single folder ``v1.0-…`` that has them.
-        options: What the user says of the recording.
+        options: The user's settings for the recording.
 
     Raises:
         RecordingError: A file is missing or cannot be used, or a sample of a scene has no results.

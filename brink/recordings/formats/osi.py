@@ -117,7 +117,7 @@ def read(detections: Path, truth: Path | None, options: ReadOptions) -> Recordin
         detections: A trace with SensorData, or a folder of them.
         truth: A trace with SensorView or GroundTruth, or a folder of them with the same names but for the code of
             the type; None if it is with the detections.
-        options: What the user says of the recording.
+        options: The user's settings for the recording.
 
     Raises:
         RecordingError: A file is missing or cannot be used.

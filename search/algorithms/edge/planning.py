@@ -18,7 +18,7 @@ from brink.search.space import FloatArray
 from brink.search.streams import Stream, generator
 
 _EXPECTED_HITS: Final = 0.8
-"""Share of the partners that is expected to open a bracket until results tell."""
+"""Share of the partners that is expected to open a bracket, before results are available."""
 
 
 def planned(state: EdgeState) -> EdgeState:

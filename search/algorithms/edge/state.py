@@ -87,7 +87,7 @@ class EdgeConfig(LedgerConfig):
     )
     checks: int = setting(
         1,
-        help="Fresh seeds under which each side of a tight pair is simulated again; 0 where chance has no part.",
+        help="Fresh seeds under which each side of a tight pair is simulated again; 0 for deterministic problems.",
         ge=0,
         le=100,
     )

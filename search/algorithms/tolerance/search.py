@@ -23,7 +23,7 @@ class Tolerance(LedgerAlgorithm[ToleranceConfig, ToleranceState]):
 
     id = "tolerance@1"
     finds = ("tolerances",)
-    summary = "Tolerances: how gross an error may be before it makes a given share of drives violate."
+    summary = "Tolerances: how severe an error may be before it makes a given share of drives violate."
     config_type = ToleranceConfig
 
     def _min_budget(self, space: SearchSpace, config: ToleranceConfig) -> int:

@@ -45,17 +45,18 @@ class ToleranceConfig(LedgerConfig):
     grossest: dict[str, str] = field(
         default_factory=dict,
         metadata={
-            "help": "The choice that, at severity 1, stands for the grossest error: drives that hold with it are "
-            "taken to hold with the errors that it covers."
+            "help": "The choice that, at severity 1, stands for the most severe error: drives that hold with it are "
+            "assumed to hold with the errors that it covers."
         },
     )
     covers: dict[str, list[str]] = field(
-        default_factory=dict, metadata={"help": "Choices that stand for errors that the grossest one covers."}
+        default_factory=dict,
+        metadata={"help": "Choices that stand for errors that the most severe one covers."},
     )
     audit: float = setting(
         0.25,
-        help="Share of the simulations of covered errors in drives that are taken to hold. With 0, that they hold is "
-        "not checked, and the intervals take it on trust.",
+        help="Share of the simulations of covered errors in drives that are taken to hold. With 0, this is not "
+        "checked, and the intervals rely on it.",
         ge=0,
         le=0.5,
     )
@@ -72,7 +73,7 @@ class ToleranceConfig(LedgerConfig):
         choices=("adaptive", "uniform", "random"),
     )
     levels: int = setting(8, help="Severities of the uniform design; a divisor of 32.", ge=1, le=32)
-    severity: str = setting("severity", help="The parameter that says how gross the error is, from 0 to 1.")
+    severity: str = setting("severity", help="The parameter for the severity of the error, from 0 to 1.")
     fixed: dict[str, str | float] = field(
         default_factory=dict,
         metadata={"help": "Values of other parameters; those that are not given are drawn for every drive."},

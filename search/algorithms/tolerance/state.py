@@ -14,7 +14,7 @@ class Purpose(IntEnum):
     TRUTH = 0
     """Without an error; of a population."""
     SCREENING = 1
-    """With the grossest error; of a group."""
+    """With the most severe error; of a group."""
     ERROR = 2
     """Of a cell."""
     AUDIT = 3

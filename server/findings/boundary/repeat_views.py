@@ -74,7 +74,7 @@ class RepeatsView(View):
     near: Annotated[int, Field(description="Number of solutions that are near p_th themselves.")]
     inconclusive: Annotated[
         int,
-        Field(description="Number of solutions whose simulations are too few, or too one-sided, to tell."),
+        Field(description="Number of solutions whose simulations are too few, or too one-sided, to decide."),
     ]
     evaluated: Annotated[int, Field(description="Number of verdicts so far, over all solutions.")]
     unsafe: int

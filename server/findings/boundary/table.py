@@ -34,8 +34,8 @@ MEANINGS: Final = {
     "violated_at_s.*": "simulated time at which each requirement was first violated; empty if it held",
     "feature.*": "other measurements of the episode",
     "version.*": "version of each part of the software that ran the simulation",
-    "idle": "components that had no part in its episode; empty if none, or if it was not recorded",
-    "*.*": "parameter of a component, decoded, as its episode had it; empty if it had no part in the episode",
+    "idle": "components that were inactive in its episode; empty if none, or if it was not recorded",
+    "*.*": "parameter of a component, decoded, as its episode had it; empty if it was inactive in the episode",
     "component.*": "number of ground-truth boxes (seen), of detections (said), or of false positives (invented)",
 }
 """Meaning of the columns; an asterisk stands for any name."""

@@ -64,7 +64,9 @@ class Boundary(View):
     ]
     within_budget: Annotated[
         BudgetBoundary | None,
-        Field(description="What comparisons count; null if the campaign did not exceed its budget."),
+        Field(
+            description="The figures that comparisons use; null if the campaign did not exceed its budget."
+        ),
     ] = None
     with_known: Annotated[
         KnownBoundary | None,

@@ -164,8 +164,8 @@ def _chance(pairs: CampaignPairs, again: int, changed: int, *, refuted: int) -> 
         told.append(f"In the search, {what} safe and unsafe with different seeds; {which} in no pair")
     if alike:
         told.append(
-            f"In {_cases(alike)}, two near solutions with opposite verdicts differ in nothing that had a part in "
-            "either drive: chance decides there, so they are no pair"
+            f"In {_cases(alike)}, two near solutions with opposite verdicts differ in no parameter that was "
+            "active in either drive: chance decides there, so they are no pair"
         )
     if again:
         what = "1 side of a pair was" if again == 1 else f"{again:,} sides of pairs were"
@@ -552,8 +552,8 @@ def _result_words(
         return words
     if found.without_part:
         return (
-            f"no pair: in {_cases(found.without_part)}, two near solutions with opposite verdicts differ in nothing "
-            "that had a part in their drives, so chance decides"
+            f"no pair: in {_cases(found.without_part)}, two near solutions with opposite verdicts differ in no "
+            "parameter that was active in their drives, so chance decides"
         )
     if not found.safe and not found.unsafe and not found.chancy:
         return "no solution has been evaluated: no pair"

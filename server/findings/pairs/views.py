@@ -82,13 +82,13 @@ class ChangeView(View):
     """A parameter in which the sides differ, or two that a constraint ties together."""
 
     names: Annotated[list[str], Field(description="Names as component.parameter, of those that differ.")]
-    titles: Annotated[list[str], Field(description="What people read in place of each name.")]
+    titles: Annotated[list[str], Field(description="Display name of each.")]
     units: list[str]
     safe: Annotated[list[Any], Field(description="Value of each in the safe side, as it was chosen.")]
     unsafe: list[Any]
     active: Annotated[
         bool | None,
-        Field(description="Whether it had a part in either drive; null if that was not recorded."),
+        Field(description="Whether it was active in either drive; null if that was not recorded."),
     ]
     moved: Annotated[
         float | None,
@@ -112,7 +112,7 @@ class Minimality(StrEnum):
     """The sides were simulated with different episode seeds, so chance may decide rather than a difference."""
     PENDING = "pending"
     NOT_TRIED = "not tried"
-    """Not tried, or not to the end."""
+    """Not tried, or not finished."""
 
 
 class MinimisedView(View):
@@ -125,7 +125,7 @@ class MinimisedView(View):
     distance: Annotated[float, Field(description="Distance from the safe side.")]
     minimal: Annotated[
         bool | None,
-        Field(description="Whether none of the remaining differences can go; null if that is not known."),
+        Field(description="Whether none of the remaining differences can be reverted; null if unknown."),
     ]
     changes: list[ChangeView]
     change: str
@@ -162,7 +162,7 @@ class SideView(View):
     ]
     activity: Annotated[
         ActivityView | None,
-        Field(description="Which of them had a part in the episode; null if that was not recorded."),
+        Field(description="Which of them were active in the episode; null if that was not recorded."),
     ]
 
 
@@ -181,7 +181,7 @@ class PairView(View):
     moved: Annotated[
         str,
         Field(
-            description="How far the parameters that had a part moved, as shares of their ranges, in words: close "
+            description="How far the active parameters moved, as shares of their ranges, in words: close "
             "sides are close on average, and one number may still move far."
         ),
     ]
@@ -209,12 +209,12 @@ class PairView(View):
     evidence: Annotated[
         tuple[str, ...],
         Field(
-            description="What is known of it beyond one simulation of each side, a few words each, such as `checked` "
+            description="The evidence beyond one simulation of each side, a few words each, such as `checked` "
             "and `confirmed 0/15 15/15`."
         ),
     ] = ()
-    shown: Annotated[tuple[str, ...], Field(description="What its follow-ups showed, in sentences.")] = ()
-    facts: Annotated[tuple[str, ...], Field(description="What else is known of it, in sentences.")] = ()
+    shown: Annotated[tuple[str, ...], Field(description="Results of its follow-ups, in sentences.")] = ()
+    facts: Annotated[tuple[str, ...], Field(description="Further facts about it, in sentences.")] = ()
     safe: SideView
     unsafe: SideView
 
@@ -247,11 +247,11 @@ class FollowUpOffer(View):
     simulations: Annotated[
         int, Field(description="Simulations that it takes, in each repeat if there are repeats.")
     ]
-    reason: Annotated[str, Field(description="Why it cannot be asked; empty if it can.")]
+    reason: Annotated[str, Field(description="Why it is unavailable; empty if it is available.")]
     left_out: Annotated[
         int,
         Field(
-            description="Pairs that are not asked about, because their sides were simulated with different seeds."
+            description="Pairs that are left out, because their sides were simulated with different seeds."
         ),
     ] = 0
 
@@ -283,7 +283,7 @@ class FollowUpBody(Body):
         Field(
             ge=1,
             le=MOST_PAIRS_FOLLOWED,
-            description="Most pairs to ask about, those with the smallest numbers.",
+            description="Maximum number of pairs to follow up, those with the smallest numbers.",
         ),
     ] = MOST_PAIRS_FOLLOWED
 
@@ -314,7 +314,7 @@ class PairsView(View):
         ),
     ]
     computed: Annotated[
-        bool, Field(description="Whether verdicts are computed, not simulated: seeds have no part in them.")
+        bool, Field(description="Whether verdicts are computed, not simulated, so that seeds have no effect.")
     ]
     replayable: Annotated[
         bool,
@@ -323,12 +323,14 @@ class PairsView(View):
     sentence: Annotated[
         str, Field(description="The result in one sentence; why there is no pair, if there is none.")
     ]
-    note: Annotated[str, Field(description="The same, with how far the campaign is if it has not ended.")]
+    note: Annotated[
+        str, Field(description="The same, with the progress of the campaign if it has not ended.")
+    ]
     blame: Annotated[
         str,
         Field(
-            description="For how many pairs the component is to blame, in a sentence without a full stop; empty if "
-            "that was not asked."
+            description="For how many pairs the component is to blame, in a sentence without a full stop; "
+            "empty without that follow-up."
         ),
     ] = ""
     terms: Annotated[
@@ -337,7 +339,7 @@ class PairsView(View):
     caveat: Annotated[
         str,
         Field(
-            description="What pairs say of the component and what they do not, in sentences; may be empty."
+            description="What pairs show about the component and what they do not, in sentences; may be empty."
         ),
     ] = ""
     safe: Annotated[int, Field(description="Safe solutions, each counted once.")]
@@ -349,8 +351,8 @@ class PairsView(View):
     without_part: Annotated[
         int,
         Field(
-            description="How often two near solutions with opposite verdicts differ in nothing that had a part in "
-            "either drive: chance decides there, so they are no pair."
+            description="How often two near solutions with opposite verdicts differ in no parameter that was "
+            "active in either drive: chance decides there, so they are no pair."
         ),
     ] = 0
     tight: Annotated[int, Field(description="Pairs, distinct or not.")]
@@ -394,11 +396,12 @@ class PairsView(View):
         Field(description="Nearest solutions with opposite verdicts, if none are near enough for a pair."),
     ]
     follow_ups: Annotated[list[FollowUpView], Field(description="Oldest first.")]
-    offers: Annotated[list[FollowUpOffer], Field(description="What can be asked about the distinct pairs.")]
+    offers: Annotated[
+        list[FollowUpOffer], Field(description="Follow-ups that are available for the distinct pairs.")
+    ]
     rule: ConfirmationRule = ConfirmationRule()
     chance: Annotated[
-        tuple[str, ...],
-        Field(description="What is known of the part of chance, in sentences without a full stop."),
+        tuple[str, ...], Field(description="The role of chance, in sentences without a full stop.")
     ] = ()
     pairs: Annotated[
         list[PairView],
@@ -408,7 +411,7 @@ class PairsView(View):
     ]
     legend: Annotated[
         tuple[str, ...],
-        Field(description="What the words about these pairs mean, in sentences without a full stop."),
+        Field(description="The meaning of the words about these pairs, in sentences without a full stop."),
     ] = ()
     table: Annotated[Table | None, Field(description="The pairs as a table.")] = None
 

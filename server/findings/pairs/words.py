@@ -1,4 +1,4 @@
-"""What is known of pairs, in words: the evidence for one of them, what it shows, and how far to trust them."""
+"""Pairs in words: the evidence for one of them, what it shows, and how far to trust them."""
 
 from typing import Final
 
@@ -27,15 +27,15 @@ _PARTS: Final = {
     ComponentPart.FAILED: "ground truth failed",
     ComponentPart.PENDING: "ground truth pending",
 }
-"""Whose hazard it is."""
+"""Whether the component or the scenario is to blame."""
 
 
 def in_words(pair: PairView, *, computed: bool) -> PairView:
-    """Return a pair with what is known of it in words.
+    """Return a pair with the evidence for it in words.
 
     Args:
         pair: The pair.
-        computed: Whether its verdicts are computed, so that chance has no part in them.
+        computed: Whether its verdicts are computed, so that they are deterministic.
     """
     return pair.model_copy(
         update={
@@ -88,7 +88,7 @@ def _shown(pair: PairView) -> list[str]:
         told.append(f"Confirmed with {_drives_a_side(again)} other seeds each side.")
     elif again.state is Confirmation.REFUTED:
         # First, because it limits what the rest says.
-        told.insert(0, f"Refuted, so chance has a part: with other seeds, {_doubt(again)}.")
+        told.insert(0, f"Refuted, so its verdicts depend on chance: with other seeds, {_doubt(again)}.")
     elif again.state is Confirmation.UNDECIDED:
         told.insert(0, f"Undecided with {_drives_a_side(again)} other seeds each side: chance may decide.")
     return told
@@ -124,7 +124,7 @@ def _doubt(again: ConfirmationView) -> str:
 
 
 def _facts(pair: PairView, *, computed: bool) -> list[str]:
-    """Return what else is known of a pair, in sentences."""
+    """Return further facts about a pair, in sentences."""
     told = []
     if pair.moved:
         told.append(f"{as_sentence(pair.moved)}.")
@@ -134,7 +134,7 @@ def _facts(pair: PairView, *, computed: bool) -> list[str]:
         told.append(f"All that differs: {', '.join(change.words for change in pair.changes)}.")
     less = pair.minimality
     if less.state is Minimality.DIFFERENT_SEEDS:
-        told.append("The two had different episode seeds, so chance may be the reason for the verdicts.")
+        told.append("The two had different episode seeds, so chance may explain the verdicts.")
     elif less.state is Minimality.MINIMAL:
         how = " (tried by simulation)" if less.tried else ""  # a single difference needs no simulation
         told.append(f"No part of the change can be left out{how}.")
@@ -180,16 +180,16 @@ def legend(view: PairsView) -> tuple[str, ...]:
         if not all(pair.checked for pair in view.pairs):
             told.append("found once: the search did not simulate both sides with another seed")
     if any(pair.minimality.state is Minimality.MINIMAL for pair in view.pairs):
-        told.append("minimal: none of the differences can go without losing the opposite verdicts")
+        told.append("minimal: none of the differences can be reverted without losing the opposite verdicts")
     if view.tried or view.pending:
         told += _confirmation_legend(view)
     if Confirmation.REFUTED in states:
         told.append(
-            f"refuted: a side is beyond its limit, with the same error rate ({view.rule.error:.0%}), so chance has "
-            "a part"
+            f"refuted: a side is beyond its limit, with the same error rate ({view.rule.error:.0%}), so its "
+            "verdicts depend on chance"
         )
     if Confirmation.UNDECIDED in states:
-        told.append("undecided: neither confirmed nor refuted by these simulations; more may tell")
+        told.append("undecided: neither confirmed nor refuted by these simulations; more may decide")
     if any(pair.minimality.state is Minimality.DIFFERENT_SEEDS for pair in view.pairs):
         told.append(
             "different seeds: the sides also differ in their episode seeds, so chance may be the reason rather than "
@@ -257,13 +257,14 @@ def figures(view: PairsView) -> list[Term]:
 
 
 def chance_words(view: PairsView) -> str:
-    """Return what is known of the part of chance in the pairs, in a sentence; empty if it has none."""
+    """Describe the role of chance in the pairs, in a sentence; empty if it plays none."""
     if view.computed or not view.distinct:
         return ""
     if view.tried:
         return (
             f"{view.confirmed:,} of {counted(view.tried, 'pair')} that were simulated again with other seeds are "
-            f"confirmed, {view.refuted:,} are refuted: chance has a part there. {view.undecided:,} are undecided."
+            f"confirmed, {view.refuted:,} are refuted: their verdicts depend on chance. {view.undecided:,} are "
+            "undecided."
         )
     checked = ""
     if view.checked:
@@ -306,7 +307,7 @@ def _confirmation(view: PairsView) -> str:
 def _component(view: PairsView) -> str:
     asked = view.component + view.scenario
     if not asked:
-        return "It was not asked whether the component or the scenario is to blame for the unsafe sides."
+        return "Whether the component or the scenario is to blame for the unsafe sides was not tested."
     rest = f"; for {view.scenario:,}, the scenario alone is enough" if view.scenario else ""
     confirmed = view.component_confirmed + view.scenario_confirmed
     sure = (

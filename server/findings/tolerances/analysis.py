@@ -146,7 +146,7 @@ def _caveat(cells: list[CellView], limit: float) -> str:
     if shares := [cell.vulnerable / cell.screened for cell in without if cell.screened]:
         low, high = f"{min(shares):.0%}", f"{max(shares):.0%}"
         more = (
-            f" The grossest error concerning the same road users makes "
+            f" The most severe error concerning the same road users makes "
             f"{low if low == high else f'{low} to {high}'} of drives violate."
         )
     return (
@@ -322,7 +322,7 @@ class CellWords:
         """
         start = f"{as_sentence(check.condition)}: {self.error}: {check.result.value}"
         if check.share is None or middle is None:
-            return f"{start}: no drive tells anything about it."
+            return f"{start}: there are no informative drives."
         drives, at_least = len(check.severity), " at least" if check.bounds else ""
         share = check.share
         words = (
@@ -338,7 +338,8 @@ class CellWords:
         if fall is None:
             return None
         words = (
-            f"more error is safer from {self._number(fall.from_severity, unit=True)} on: {fall.from_share:.0%} of "
+            f"a larger error is safer from {self._number(fall.from_severity, unit=True)} on: "
+            f"{fall.from_share:.0%} of "
             f"drives violate because of it there, {fall.to_share:.0%} at {self._number(fall.to_severity, unit=True)}"
         )
         return FallView(

@@ -132,7 +132,7 @@ def _not_judged(problem: Problem, cells: Sequence[Mapping[str, str]], drives: Se
     worst.sort(reverse=True)
     if not worst:
         return ""
-    return f" Not judged, for want of a cell: {'; '.join(words for _, words in worst[:_MOST_NOT_JUDGED])}."
+    return f" Not judged, as there is no cell: {'; '.join(words for _, words in worst[:_MOST_NOT_JUDGED])}."
 
 
 _GROSS: Final = 0.25
@@ -235,8 +235,8 @@ def _next(cells: Sequence[DetectorCell], without_condition: int) -> list[str]:
         conditions = list(dict.fromkeys(cell.condition for cell in without))
         words.append(
             f"{as_sentence('; '.join(conditions))}: {max(cell.needed or 0 for cell in without):,} drives or more"
-            f"{' each' if len(conditions) > 1 else ''} with {_in_sight(target)}, before "
-            f"{_cells(len(without))} can be met; none so far tells anything about them"
+            f"{' each' if len(conditions) > 1 else ''} with {_in_sight(target)}, before {_cells(len(without))} "
+            "can be met; none so far is informative"
         )
     open_ended = sum(cell.result is CheckResult.TOO_LITTLE and cell.needed is None for cell in cells)
     if open_ended:

@@ -19,7 +19,7 @@ from brink.server.problems.catalogue import ODD, make_problem, problem_type
 SIMULATIONS: Final = 2_000
 """Enough for twelve cells under one condition."""
 KEY: Final = (
-    "screened: drives simulated with the grossest error concerning the same road users; vulnerable: those that it "
+    "screened: drives simulated with the most severe error concerning the same road users; vulnerable: those that it "
     "makes violate; drives: those simulated with this error, of the vulnerable ones if there was screening; caused: "
     "those that violate because of it; mildest example: the one with the smallest error"
 )
@@ -28,7 +28,7 @@ SENTENCES: Final = [Column(name="requirement", title="requirement")]
 FALLS: Final = [
     Column(name="error", title="error"),
     Column(name="condition", title="condition"),
-    Column(name="words", title="where more error is safer"),
+    Column(name="words", title="where a larger error is safer"),
 ]
 BASELINE: Final = [
     Column(name="condition", title="condition"),
@@ -60,7 +60,7 @@ class TolerancesKind(Kind):
             title=self.title,
             role=subject.role,
             sentence=view.note,
-            purpose="Brink measured how gross the errors of the component may be before more than "
+            purpose="Brink measured how severe the errors of the component may be before more than "
             f"{view.limit:.0%} of drives violate a requirement because of them.",
             example="".join(f"Tightest: {cell.sentence}" for cell in _tightest(view)[:1]),
             figures=_figures(view),
@@ -129,8 +129,8 @@ def _trust(view: ToleranceView) -> list[Term]:
     if not view.audited:
         return []
     words = (
-        "Drives that hold with the grossest error are taken to hold with milder ones. Of "
-        f"{view.audited:,} that were simulated with milder ones all the same, {view.leaks:,} violated a requirement."
+        "Drives that hold with the most severe error are assumed to hold with milder ones. Of "
+        f"{view.audited:,} that were simulated with milder ones nevertheless, {view.leaks:,} violated a requirement."
     )
     return [Term(term="Screening", words=words)]
 
@@ -144,7 +144,7 @@ def _legend(view: ToleranceView) -> list[str]:
 
 
 def _further_tables(view: ToleranceView, rows: int) -> list[Table]:
-    """Return the requirements in sentences, where more error is safer, and the drives without any error."""
+    """Return the requirements in sentences, where a larger error is safer, and the drives without any error."""
     sentences = [cell.sentence for cell in _tightest(view)]
     sentences += [cell.sentence for cell in view.cells if cell.tolerated.finding is Tolerated.THROUGHOUT]
     falls = [[cell.error, cell.condition, cell.fall.words] for cell in view.cells if cell.fall is not None]
@@ -169,7 +169,7 @@ def _further_tables(view: ToleranceView, rows: int) -> list[Table]:
         )
         for name, title, columns, all_rows in (
             ("requirements", "The requirements, tightest first", SENTENCES, [[words] for words in sentences]),
-            ("falls", "Where more error is safer", FALLS, falls),
+            ("falls", "Where a larger error is safer", FALLS, falls),
             ("baseline", "Drives without any error", BASELINE, baseline),
         )
     ]
@@ -246,7 +246,7 @@ def _search(campaign: Campaign, errors_problem: str) -> Step:
         kind="tolerance",
         question="How wrong may the detector be?",
         label="Search for tolerances",
-        words="Searches for a requirement for the detector: how gross each type of its errors may be before drives "
+        words="Searches for a requirement for the detector: how severe each type of its errors may be before drives "
         "violate. What counts as a violation stays the same.",
         place=f"new?{urlencode({'body': json.dumps(body)})}",
     )

@@ -71,16 +71,16 @@ class ExampleView(View):
 class CellView(View):
     """One cell: a combination of choices under a condition."""
 
-    place: Annotated[int, Field(description="Its place in the list, from 1.")]
+    place: Annotated[int, Field(description="Its position in the list, from 1.")]
     choices: dict[str, str]
     condition: str
     error: Annotated[
         str, Field(description="The error as an activity of the component, without its magnitude.")
     ]
     words: Annotated[str, Field(description="The error as an activity of the component, with its magnitude.")]
-    sentence: Annotated[str, Field(description="The requirement that follows, with its basis.")]
+    sentence: Annotated[str, Field(description="The resulting requirement, with its evidence.")]
     basis: Annotated[
-        str, Field(description="How many drives it rests on, in words; empty if there are none.")
+        str, Field(description="Number of drives it is based on, in words; empty if there are none.")
     ]
     unit: Annotated[str, Field(description="Unit of magnitudes; empty for none.")]
     decimals: Annotated[int, Field(description="Decimal places of magnitudes that matter.")]
@@ -88,9 +88,9 @@ class CellView(View):
     drives: Annotated[int, Field(description="Drives with the error; of screened cells, vulnerable ones.")]
     caused: Annotated[int, Field(description="Those with a violation that the error caused.")]
     screened: Annotated[
-        int, Field(description="Drives that were screened with the grossest error; 0 for none.")
+        int, Field(description="Drives that were screened with the most severe error; 0 for none.")
     ]
-    vulnerable: Annotated[int, Field(description="Those with a violation that the grossest error caused.")]
+    vulnerable: Annotated[int, Field(description="Those with a violation that the most severe error caused.")]
     tolerated: ToleratedView
     tolerated_words: Annotated[
         str, Field(description="The tolerated magnitude with its interval, such as `2.2 s [1.4, 2.8]`.")
@@ -122,7 +122,7 @@ class ToleranceView(View):
     limit: float
     confidence: float
     note: str
-    caveat: Annotated[str, Field(description="What the tolerances do not say.")]
+    caveat: Annotated[str, Field(description="What the tolerances do not cover.")]
     simulations: Annotated[
         int, Field(description="Simulations with a verdict, those without an error included.")
     ]
@@ -134,9 +134,11 @@ class ToleranceView(View):
     baseline: list[BaselineView]
     audited: Annotated[
         int,
-        Field(description="Drives simulated with a milder error although they hold with the grossest one."),
+        Field(
+            description="Drives simulated with a milder error although they hold with the most severe one."
+        ),
     ]
-    leaks: Annotated[int, Field(description="Those that violated all the same.")]
+    leaks: Annotated[int, Field(description="Those that violated nevertheless.")]
     cells: list[CellView]
 
 
@@ -149,7 +151,7 @@ class DetectorCell(View):
     result: CheckResult
     drives: Annotated[
         int,
-        Field(description="Drives of the detector under the condition that tell how gross this error is."),
+        Field(description="Drives of the detector under the condition that show how severe this error is."),
     ]
     needed: Annotated[
         int | None,
@@ -165,11 +167,11 @@ class DetectorCell(View):
     typical: Annotated[float | None, Field(description="Median magnitude, in the unit of the cell.")]
     grossest: Annotated[float | None, Field(description="Magnitude that 5% of the drives exceed.")]
     unit: str
-    beyond: Annotated[int, Field(description="Drives with a grosser error than is tolerated.")]
+    beyond: Annotated[int, Field(description="Drives with a more severe error than is tolerated.")]
     share: Annotated[float | None, Field(description="Share of drives that such errors make violate.")]
     low: float | None
     high: float | None
-    worst: Annotated[list[str], Field(description="Drives with the grossest errors, grossest first.")]
+    worst: Annotated[list[str], Field(description="Drives with the most severe errors, worst first.")]
     sentence: Annotated[str, Field(description="The result with its basis.")]
 
 
@@ -191,8 +193,8 @@ class DetectorView(View):
     limit: float
     confidence: float
     note: str
-    meaning: Annotated[str, Field(description="What met means, and of what.")]
-    no_data: Annotated[str, Field(description="What no drive tells anything about; empty for nothing.")]
+    meaning: Annotated[str, Field(description="The meaning of *met*, and its basis.")]
+    no_data: Annotated[str, Field(description="Cells without informative drives; empty for none.")]
     next: Annotated[list[str], Field(description="What to record next to decide more, in sentences.")]
     conditions: list[DetectorConditionView]
     cells: Annotated[
@@ -203,7 +205,7 @@ class DetectorView(View):
 class AgreementCell(View):
     """The evidence of fresh drives on one cell."""
 
-    place: Annotated[int, Field(description="Its place in the list of cells, from 1.")]
+    place: Annotated[int, Field(description="Its position in the list of cells, from 1.")]
     choices: dict[str, str]
     error: str
     condition: str

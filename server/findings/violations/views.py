@@ -63,7 +63,7 @@ class TypeView(View):
     named: Annotated[int, Field(description="Number of its violations that a person named.")]
     avoidable: Annotated[
         Avoidable | None,
-        Field(description="The best of what its violations are; null if that was measured for none of them."),
+        Field(description="The best value among its violations; null if it was measured for none of them."),
     ]
     avoider: Annotated[str, Field(description="The same in words, such as `careful driver`.")]
     avoided_by: Annotated[
@@ -97,7 +97,7 @@ class Violations(View):
         list[TypeView],
         Field(
             description="First those that a person named, then those that a careful driver would have avoided, those "
-            "that take braking at once, and the rest; each by frequency. `first` tells the order of discovery."
+            "that take braking at once, and the rest; each by frequency. `first` gives the order of discovery."
         ),
     ]
     violations: Annotated[list[ViolationView], Field(description="In ascending order of number.")]
@@ -121,5 +121,5 @@ class ViolationsFound(View):
         ),
     ]
     explanation: Annotated[
-        str, Field(description="Who that driver is, in sentences; empty if there is no example.")
+        str, Field(description="Explanation of that driver, in sentences; empty if there is no example.")
     ]

@@ -75,7 +75,7 @@ class Traffic(_Models, _Forwards):
 
 
 class IntersectionTraffic(_Models, _Forwards):
-    """Another vehicle at an intersection, whose parameters that environment sets."""
+    """Another vehicle at an intersection, with the parameters of that environment."""
 
     COMFORT_ACC_MAX = 6.0
     COMFORT_ACC_MIN = -3.0

@@ -171,7 +171,7 @@ def test_a_job_that_kills_each_of_its_workers_ends_in_quarantine(queue: Queue) -
     assert (row.status, row.losses) == ("quarantined", 4)
     assert row.last_error == (
         "lease expired: worker w4 stopped responding, the 4th time that this job lost its worker: "
-        "does it kill its workers, or are they all stopped?"
+        "does it kill its workers, or were they all stopped?"
     )
 
 

@@ -154,7 +154,7 @@ def test_a_search_for_pairs_shows_the_best_with_pictures_and_lists_the_others(di
     listed = re.search(r"<caption>Distinct pairs, confirmed ones first</caption>.*?</table>", page, re.DOTALL)
     assert listed
     assert listed[0].count("<tr>") - 1 == min(int(count[1]), 20)
-    assert "chance has no part in them" in found.text
+    assert "they are deterministic" in found.text
     assert "is a random search on the same problem" in found.text
     assert "disc" in found.text
     assert "First line. Second line." in found.text

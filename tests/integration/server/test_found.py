@@ -118,7 +118,7 @@ def test_what_cannot_be_told_is_left_out(
 
     monkeypatch.setattr(PairsKind, "brief", fails)
     assert column(client) == {campaign: ""}
-    assert "what it found cannot be told" in caplog.text
+    assert "its finding cannot be computed" in caplog.text
 
 
 @on_sqlite
@@ -135,4 +135,4 @@ def test_what_takes_too_long_to_tell_is_ended_and_left_out(
     with databases.database() as url, small_problems(), listening_coordinator(url) as client:
         campaign = finish(client, ball(name="edge", algorithm=EDGE))
         assert column(client) == {campaign: ""}
-    assert "takes too long to tell" in caplog.text
+    assert "takes too long to compute" in caplog.text

@@ -117,10 +117,10 @@ def test_monitor_file_scores_and_is_evaluated_offline(listening_client: httpx.Cl
     known = run(app, ["monitor", "judge", str(file), learned[:4], *server])
     assert known.exit_code == 1
     assert f"was fitted to campaign {learned}: " in str(known.exception)
-    assert "judge it on another campaign" in str(known.exception)
+    assert "evaluate it on another campaign" in str(known.exception)
     both = run(app, ["monitor", "judge", str(file), learned, fresh, *server])
     assert both.exit_code == 0, both.output
-    assert f"was fitted to campaign {learned}: what it has learned from is left out" in both.stderr
+    assert f"was fitted to campaign {learned}: its training data is left out" in both.stderr
     assert "evaluated on 400 others" in both.stdout
 
 

@@ -143,5 +143,5 @@ def test_an_option_that_is_given_twice_is_refused_before_anything_is_drawn(
     once = [option, "1", str(tmp_path / "a.gif")]
     said = CliRunner().invoke(app, ["pairs", "3f2a", *once, *once])
     assert said.exit_code == 2
-    assert f"'{option}': expected it once; use one call for each" in said.stderr
+    assert f"'{option}': may be given only once; use one call for each" in said.stderr
     assert list(tmp_path.iterdir()) == []

@@ -323,10 +323,13 @@ def test_the_command_shows_and_writes_pairs_that_a_monitor_is_judged_on(
     [
         (["--out", "pairs.txt"], "ends in .csv, .jsonl or .parquet"),
         (["--format", "parquet"], "expected a file to write Parquet to"),
-        (["--format", "csv", "--json"], "--json without --format"),
+        (["--format", "csv", "--json"], "cannot be combined with --format"),
         (["--format", "table", "--out", "pairs.csv"], "for a file, got table"),
-        (["--picture", "1", "a.png", "--out", "pairs.csv"], "expected it without --out: draw the pair alone"),
-        (["--film", "1", "a.gif", "--json", "--limit", "3"], "expected it without --json and --limit"),
+        (
+            ["--picture", "1", "a.png", "--out", "pairs.csv"],
+            "cannot be combined with --out: draw the pair alone",
+        ),
+        (["--film", "1", "a.gif", "--json", "--limit", "3"], "cannot be combined with --json and --limit"),
     ],
 )
 def test_options_that_contradict_each_other_are_refused(options: list[str], message: str) -> None:

@@ -145,12 +145,12 @@ def test_a_follow_up_brings_the_files_of_the_run_up_to_date(
     nowhere = CliRunner().invoke(app, [*command, "elsewhere"])
     assert nowhere.exit_code == 0, nowhere.output
     place = Path("elsewhere") / searched.folder.name
-    assert f"no files of a run to bring up to date in {place}; --results names" in nowhere.stdout
+    assert f"no files of a run to update in {place}; --results names" in nowhere.stdout
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
     told = CliRunner().invoke(app, [*command, "results"]).stdout
     place = Path("results") / searched.folder.name
-    assert f"brought up to date in {place}: pairs.jsonl, pairs.csv, pair-1.png, report.html" in told
+    assert f"updated in {place}: pairs.jsonl, pairs.csv, pair-1.png, report.html" in told
     assert {path.name for path in folder.iterdir()} == before.keys()
     tables = (folder / "pairs.jsonl").read_text(encoding="utf-8").splitlines()
     assert any(json.loads(line)["minimality"]["tried"] for line in tables)

@@ -373,8 +373,8 @@ def test_commands_show_write_and_draw_tolerances(service: Service, database: str
     ("options", "words"),
     [
         (["--out", "requirement.txt"], "ends in .csv, .json or .md"),
-        (["--json", "--format", "csv"], "--json without --format"),
-        (["--against", "3f2a", "--episodes", "9c01"], "expected it without --against"),
+        (["--json", "--format", "csv"], "cannot be combined with --format"),
+        (["--against", "3f2a", "--episodes", "9c01"], "cannot be combined with --against"),
         (["--picture", "curves.gif"], "ends in .png, .svg or .pdf"),
     ],
 )

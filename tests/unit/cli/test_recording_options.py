@@ -59,7 +59,7 @@ def test_two_cameras_are_refused(tmp_path: Path) -> None:
     both = GivenRecording(
         detections=recording(tmp_path), calibration=calibration, camera=(800.0, 600.0, 90.0, 1.7)
     )
-    with pytest.raises(InvalidInput, match="expected it without a camera in"):
+    with pytest.raises(InvalidInput, match="cannot be combined with a camera in"):
         both.read()
 
 

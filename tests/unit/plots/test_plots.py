@@ -405,6 +405,6 @@ def test_a_pair_of_a_mixed_problem_has_a_row_for_each_difference() -> None:
     )
     words = [text.get_text() for text in figure.axes[0].texts]
     assert [word for word in words if word.startswith(("scenario", "behaviour"))] == ["scenario: weather"]
-    assert "1 more differs but had no part in either episode. The other 3 are the same." in words
+    assert "1 more differs but were inactive in both episodes. The other 3 are the same." in words
     with pytest.raises(ValueError, match="expected an evaluated solution of Test, got 7"):
         figure_pair(inputs, PairFigure(safe=7, unsafe=1, change=""))

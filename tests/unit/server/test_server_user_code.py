@@ -1,4 +1,4 @@
-"""Calls of code that a user brought: on threads of their own, and for a limited time."""
+"""Calls of code of users: on threads of their own, and for a limited time."""
 
 import functools
 import threading

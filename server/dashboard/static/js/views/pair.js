@@ -52,7 +52,7 @@ export async function show(main, context, { parts, query }) {
     tell(found);
   }, { busy: (next) => next.follow_ups.some(({ status }) => isOpen(status)), refuse: () => {} });
 
-  /** Show what is known of the pair, which follow-ups extend. */
+  /** Show the evidence for the pair, which follow-ups extend. */
   function tell(now) {
     replace(known, evidence(now, read.computed));
     replace(change, h("h2", null, "The change"), h("p.lead", null, said(now.change)), now.moved && h("p", null, h("strong", null, "How far: "), `${now.moved}.`),

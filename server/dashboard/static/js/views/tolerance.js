@@ -19,7 +19,7 @@ export function toleranceCard(context, id, problems) {
   const legend = h("ul.legend", { "aria-label": "Conditions" });
   const panels = h("div.panels.curves");
   const table = toleranceTable(id);
-  const falls = h("ul.plain.falls", { "aria-label": "Where more error is safer" });
+  const falls = h("ul.plain.falls", { "aria-label": "Where a larger error is safer" });
   const baseline = matrix("Drives that violate a requirement without any error", "Drives");
   const save = (format, label) => h("button", { type: "button", onclick: () => context.tell(() => download(
     `campaigns/${id}/tolerance?format=${format}`, `tolerance-${id}.${format}`)) }, label);
@@ -33,10 +33,10 @@ export function toleranceCard(context, id, problems) {
   const load = loadOnNews(async () => {
     const read = await context.get(`campaigns/${id}/tolerance`);
     card.hidden = read.simulations === 0;
-    text(about, `How gross an error may be before it makes ${percent(read.limit)} of drives violate a requirement that they would have held without it.`);
+    text(about, `How severe an error may be before it makes ${percent(read.limit)} of drives violate a requirement that they would have held without it.`);
     text(words, said(read.note));
     text(unknown, [
-      read.audited > 0 && `Drives that hold with the grossest error are taken to hold with milder ones; of ${count(read.audited)} that were simulated all the same, ${count(read.leaks)} violated.`,
+      read.audited > 0 && `Drives that hold with the most severe error are assumed to hold with milder ones; of ${count(read.audited)} that were simulated nevertheless, ${count(read.leaks)} violated.`,
       read.open > 0 && `Whether the error caused ${plural(read.open, "more violation")} is not known yet.`,
     ].filter(Boolean).join(" "));
     unknown.hidden = read.open + read.audited === 0;
@@ -218,7 +218,7 @@ function toleranceTable(id) {
     if (known !== heads.join()) {
       known = heads.join();
       replace(head, heads.map((words) => h("th", { scope: "col" }, words)),
-        h("th.right", { scope: "col", title: "Drives that the grossest error concerning the same road users makes violate, of those simulated with it" }, "Vulnerable"),
+        h("th.right", { scope: "col", title: "Drives that violate with the most severe error concerning the same road users, of those simulated with it" }, "Vulnerable"),
         h("th.right", { scope: "col", title: "Drives simulated with this error: of the vulnerable ones, if there was screening" }, "Drives"),
         h("th.right", { scope: "col", title: "Drives in which this error caused a violation" }, "Caused"),
         h("th", { scope: "col", title: "Drive with the smallest error that caused a violation" }, "Mildest example"));

@@ -61,7 +61,7 @@ export function finding(context, id, found, changed) {
     if (!progress) return;
     const ended = !isOpen(progress.status);
     const last = generations.list.at(-1);
-    const known = viewOf(read, "pairs")?.distinct ?? null; // null if there are too many to tell
+    const known = viewOf(read, "pairs")?.distinct ?? null; // null if there are too many
     const evaluated = progress.evaluated + progress.reported;
     const unsafe = progress.unsafe + progress.reported_unsafe;
     const failed = progress.failed + progress.reported_failed;
@@ -181,7 +181,7 @@ function avoidableViolations(context, id) {
 function bestPairs(context, id) {
   const meaning = h("span");
   const card = pictured(context, "Best pairs", h("p.hint", null,
-    "Two neighbouring drives, one safe and one unsafe, from above at the moment that decides. Each outlines the car of the other one. ", meaning));
+    "Two neighbouring drives, one safe and one unsafe, from above at the decisive moment. Each outlines the car of the other one. ", meaning));
 
   function pair(one) {
     const path = `campaigns/${id}/pairs/${one.safe}-${one.unsafe}`;

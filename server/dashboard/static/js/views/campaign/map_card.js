@@ -101,7 +101,7 @@ export function mapCard(context, id, query) {
     }), data.told < data.count && h("li", null, h("i.hollow"), `${count(data.count - data.told)} just reported${aboutBoundary ? ", not scored yet" : ""}`),
     rings.length > 0 && h("li", null, h("i.ringed"), ringWords(rings.length, rings[0].at.length > 1 ? "distinct pair" : "distinct boundary solution")));
     tints.hidden = !data.ground;
-    if (data.ground) replace(tints, tintWords(data.ground.p_th), h("i.hatched", { "aria-hidden": "true" }), h("span", null, "too few simulations nearby to tell"));
+    if (data.ground) replace(tints, tintWords(data.ground.p_th), h("i.hatched", { "aria-hidden": "true" }), h("span", null, "too few simulations nearby"));
     const { said, drawn, evaluated, explained, across, up, own_axes } = data.about;
     text(about, [
       said,
@@ -334,12 +334,12 @@ function ramp(share) {
 
 const COLUMNS = { number: Int32Array, told_in: Int32Array, unsafe: Uint8Array, outcome: Uint16Array, robustness: Float32Array, x: Float32Array, y: Float32Array };
 
-/** The points of a campaign in columns: first those that the search was told of, of which only new ones are loaded, then reported ones. */
+/** The points of a campaign in columns: first those that the search has received, of which only new ones are loaded, then reported ones. */
 class MapData {
   #conditional = new Conditional();
   #known = Object.fromEntries(Object.entries(COLUMNS).map(([name, Column]) => [name, new Column(0)])); // without reported ones
   version = "";
-  /** Number of all points, and of those that the search was told of. */
+  /** Number of all points, and of those that the search has received. */
   count = 0;
   told = 0;
   fitness = new Float32Array(0);

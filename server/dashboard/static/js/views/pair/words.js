@@ -1,4 +1,4 @@
-/** What is known of a pair, as badges and sentences. */
+/** The evidence for a pair, as badges and sentences. */
 
 import { h } from "../../dom.js";
 import { capital, count, figure, percent, plural, sentence } from "../../format.js";

@@ -61,7 +61,7 @@ export function parameters({ parameters: given, activity, titles }) {
       idle ? h("p", null, `The ${component === "behaviour" ? "injected behaviour" : spaced(component)} had no part in this drive.`)
         : h("div.scroll.tall", { tabindex: 0, role: "region", "aria-label": `Table of ${spaced(component)}` },
           grouped(shown).map((group) => (group.prefixes ? crossTable(group, component, titles) : plainTable(group, component, titles)))),
-      !idle && partial && h("p.hint", null, "–: had no part in this drive."),
+      !idle && partial && h("p.hint", null, "–: inactive in this drive."),
       !idle && !same(values, given[component], inactive, component) && h("p.hint", null, "The drive ended before a time window did; the table shows the window up to there."));
   });
 }
@@ -141,7 +141,7 @@ export function neighbourhood(campaign) {
       h("p.lead", null, `What differs ${other.unsafe ? "there" : "here"}: ${sentence(other.change)}`),
       h("p.hint", null, [
         `${plural(other.differences, "parameter")} ${other.differences === 1 ? "differs" : "differ"}.`,
-        other.same_seed ? "Both had the same episode seed, so chance has no part." : "They had different episode seeds, so chance may have a part.",
+        other.same_seed ? "Both had the same episode seed, so chance plays no role." : "They had different episode seeds, so chance may play a role.",
       ].join(" ")));
   }
 

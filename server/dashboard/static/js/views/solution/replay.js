@@ -50,7 +50,7 @@ export function loading(context, paths, take) {
       say(callout("warn", h("p", null, `The episode must be simulated again before it can be shown. ${sentence(error.message)}`),
         h("p", null, "Start a worker: ", workerCommand())), retry);
     } else if (error.notRecorded) {
-      say(callout("", "A replay is not available: the episode was not recorded. A token of scope user has a worker simulate it again."));
+      say(callout("", "A replay is not available: the episode was not recorded. With a token of scope user, you can have a worker simulate it again."));
     } else {
       say(callout("", `A replay is not available. ${sentence(error.message)}`), error.status === 409 && retry);
     }
