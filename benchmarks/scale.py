@@ -29,7 +29,7 @@ from brink.server.runtime.coordinator import allow_many_open_files
 MEAN_S = 5.0
 TARGET_WORKERS = 64
 TARGET_SHARES = {TARGET_WORKERS: 0.95, 1000: 0.9}
-"""Least utilisation by one campaign with generations in flight, up to these numbers of workers."""
+"""Minimum utilisation by one campaign with generations in flight, up to these numbers of workers."""
 TARGET_CPU_MS = 2.5
 """Most CPU time of the coordinator for each result of a busy campaign: half a core at 200 results a second."""
 TARGET_GENERATION = 256
@@ -70,7 +70,7 @@ class Setup:
 
     @property
     def target_share(self) -> float | None:
-        """Least utilisation; None without a target."""
+        """Minimum utilisation; None without a target."""
         shares = (share for workers, share in TARGET_SHARES.items() if self.workers <= workers)
         return next(shares, None) if self.target else None
 

@@ -79,7 +79,7 @@ class Number:
         high: Largest value, > low.
         unit: ``px``, ``m/s``, …; empty for a dimensionless number.
         sigma: Standard deviation of the Gaussian mutation, before rounding; defaults to a tenth of the range.
-        title: What people read in place of the full name; empty for the full name in words.
+        title: Display name; empty for the full name in words.
         bounds: Smallest and largest value within an operational design domain (ODD); both are the same for a fixed
             number. None without an ODD. Distances and pictures keep the whole range.
     """
@@ -287,7 +287,7 @@ class Categorical:
     Attributes:
         name: Unique in its component.
         choices: One or more, all different.
-        title: What people read in place of the full name; empty for the full name in words.
+        title: Display name; empty for the full name in words.
         allowed: The choices within an operational design domain (ODD), in their order; None without an ODD. Stored
             indices count all choices.
     """

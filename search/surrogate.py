@@ -18,7 +18,7 @@ EXTRA: Final = "analysis"
 """The extra that installs scikit-learn."""
 TREES: Final = 60
 LEAF: Final = 2
-"""Least number of solutions in a leaf."""
+"""Minimum number of solutions in a leaf."""
 
 
 def is_available() -> bool:

@@ -247,7 +247,7 @@ class _Loader(yaml.SafeLoader):
             raise yaml.constructor.ConstructorError(None, None, expected, node.start_mark) from None
 
     def _too_many(self, mark: yaml.Mark) -> yaml.YAMLError:
-        expected = f"expected at most {self._max_values} values, counting each alias as what it stands for"
+        expected = f"expected at most {self._max_values} values, counting each alias as its target"
         return yaml.constructor.ConstructorError(None, None, expected, mark)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:

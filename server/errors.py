@@ -22,7 +22,7 @@ TOKEN_FORM: Final = "expected printable ASCII characters without spaces, such as
 
 
 SHORTEST_ID: Final = 2
-"""Least number of characters by which a campaign or an experiment can be named."""
+"""Minimum number of characters by which a campaign or an experiment can be named."""
 
 
 LONGEST_POINTER: Final = 500

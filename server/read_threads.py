@@ -26,7 +26,7 @@ MOST_PENDING: Final = 64
 RETRY_AFTER_S: Final = 10
 STOPPING: Final = "the coordinator is stopping"
 _CLOSED: Final = 0.0
-"""When functions were due that end because their threads are closed."""
+"""The due time of functions that end because their threads are closed."""
 ASK_FOR_LESS: Final = "request less, for example with a larger d_th, a smaller t_b, eps or limit"
 
 

@@ -14,7 +14,7 @@ from brink.search.space import BoolArray
 LOOKS: Final = 200
 """Drives of each side in studies of errors, each followed by a look; later ones decide practically nothing."""
 MOST: Final = 30
-"""Most drives of each side in studies of power."""
+"""Maximum number of drives of each side in studies of power."""
 
 
 def _ever(

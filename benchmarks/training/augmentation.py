@@ -286,4 +286,4 @@ _CHANGES: Final[Sequence[tuple[Change, float]]] = (
     (shot_noise, 0.35),
     (compression, 0.15),
 )
-"""Changes of appearance in the order of their application, and how often each is applied."""
+"""Changes of appearance in the order in which they are applied, and how often each is applied."""

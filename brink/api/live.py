@@ -136,7 +136,7 @@ class LiveDisplay(ABC, Generic[P]):
 
     @abstractmethod
     def _line(self, progress: P) -> str:
-        """Return what is printed elsewhere."""
+        """Return the text for output that is not a terminal."""
 
     def show(self, progress: P) -> None:
         """Show the panel on a terminal; elsewhere print the line, unless one was printed recently.

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 PLAIN_WIDTH = 160
 IDS_SHOWN = 3
-"""Ids to name where one was not found."""
+"""Ids to list if one is not found."""
 _LISTS = {"campaign": "status", "experiment": "experiment list"}
 """The command that lists what an id may stand for."""
 RESULTS = Path("brink-results")

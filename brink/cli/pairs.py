@@ -75,7 +75,8 @@ def pairs(
             min=1,
             max=MOST_PAIRS,
             show_default=False,
-            help=f"Most pairs to show (default: {PAIRS_SHOWN} in a table, {MOST_PAIRS} in a file), and to simulate "
+            help=f"Maximum number of pairs to show (default: {PAIRS_SHOWN} in a table, {MOST_PAIRS} in a "
+            "file), and to simulate "
             f"again (default: {MOST_PAIRS_FOLLOWED}).",
         ),
     ] = None,

@@ -18,7 +18,7 @@ perturbations = typer.Typer(
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
 MANY_GENES = 6
-"""So many genes are shown two in a row, so that the sheet fits on a page."""
+"""This many genes are shown two to a row, so that the sheet fits on a page."""
 
 
 @perturbations.command("list")

@@ -49,7 +49,7 @@ from brink.server.findings.tolerances.kind import KEY
 from brink.server.findings.tolerances.views import AgreementView, CellView, ToleranceView
 
 ROWS_SHOWN: Final = 30
-"""Most rows of the table at the end of a run."""
+"""Maximum number of rows of the table at the end of a run."""
 MOST_CONDITIONS: Final = 4
 """Conditions beside which their tolerances fit."""
 

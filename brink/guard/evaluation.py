@@ -39,13 +39,13 @@ from brink.sim.driving.interface import PERCEPTION_STEP_S
 
 LEADS_S: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)
 LEAD_S: Final = 1.5
-"""The lead that counts."""
+"""The lead time that counts."""
 FALSE_ALARMS: Final = 0.05
 """The share of safe drives with an alarm at which predictors are compared."""
 MORE_FALSE_ALARMS: Final = (0.1, 0.2)
 """Further such shares."""
 FOLDS: Final = (10, 5, 3)
-"""Numbers of parts of the drives, each judged with the threshold of the others; the first is used that they allow."""
+"""Numbers of parts of the drives, each judged with the threshold of the others; the first feasible one is used."""
 RECENT_S: Final = 6.0
 """An alarm raised longer than this before a violation may have had another reason."""
 POINTS: Final = 200

@@ -28,7 +28,7 @@ from brink.sim.guard.setting import NoSettings, ranged
 
 STANDS_BELOW_MPS: Final = 0.3
 _HOLD_MPS2: Final = -2.0
-"""Holds a car that stands, on the steepest slope of the roads."""
+"""Holds a stationary car on the steepest slope of the roads."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -62,7 +62,7 @@ MAX_AGE_S: Final = 10.0
 PATH_MARGIN_M: Final = 0.3
 """A box this close beside the ego's body is in its path."""
 NEAR_M: Final = 25.0
-"""Births and deaths of boxes nearer than this are sudden, unless they happen at the border of the image."""
+"""Boxes that appear or disappear nearer than this do so suddenly, unless at the border of the image."""
 BORDER_PX: Final = 4.0
 LINE_BEFORE_M, LINE_AHEAD_M = -5.0, 80.0
 AHEAD_M: Final = (10.0, 25.0)

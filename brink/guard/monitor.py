@@ -61,8 +61,8 @@ class ModelGuard:
     def __init__(self, model: GuardModel, route: Route, conditions: KnownConditions) -> None:
         if min(conditions) < 0.0:
             raise ValueError(
-                f"expected rain, wetness and darkness in [0, 1], got {tuple(conditions)}: a fitted guard has met no "
-                "drive in which they were unknown"
+                f"expected rain, wetness and darkness in [0, 1], got {tuple(conditions)}: a fitted guard was "
+                "never trained with unknown conditions"
             )
         self._model = model
         self._extractor = FeatureExtractor(route, conditions, ranges=model.sensor is Sensor.RANGE)

@@ -15,7 +15,7 @@ from brink.sim.driving.settings import DrivingSettings
 from brink.sim.guard.interface import RANGE_M, SECTOR_EDGES_DEG, SECTORS, RangeScan
 
 BRIDGED_STEPS: Final = 5
-"""Drop-outs in a row that the last measured distance stands in for; after more, nothing is known to be in range."""
+"""Consecutive drop-outs for which the last measured distance is kept; after more, nothing counts as in range."""
 SECOND_STEPS: Final = 10
 WINDOW_STEPS: Final = 30
 TRACED_M: Final = tuple(range(3, 61, 3))

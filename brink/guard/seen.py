@@ -17,7 +17,7 @@ from brink.search.space import BoolArray
 from brink.sim.episode import EpisodeSpec
 
 ABOUT: Final = "seen"
-"""Where a guard's `about` has it."""
+"""Its key in a guard's `about`."""
 _HEX: Final = 16
 
 

@@ -27,7 +27,7 @@ class Reported(StrEnum):
     """What the detector reported in the seconds before a violation."""
 
     COUNTERPART = "counterpart"
-    """Whom the violation is about."""
+    """The road user that the violation is about."""
     OTHERS = "others"
     """Something else, which may not exist."""
     NOTHING = "nothing"

@@ -20,7 +20,7 @@ BRAKES, WAITS, DRIVES = "brakes", "waits", "drives"
 """What a reference driver does."""
 STANDS_MPS: Final = STANDS_BELOW_MPS
 CREEPS_MPS: Final = 2.0
-"""Below this speed, a driver who goes on a little after having braked has not left off."""
+"""Below this speed, a driver who moves on a little after braking is still braking."""
 _LETS_GO_S: Final = 1.5
 """A slow driver who lets go of the brake for a shorter time is still braking."""
 _MOVES_UP_MPS: Final = 1.0

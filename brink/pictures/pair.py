@@ -42,7 +42,7 @@ _SAME_PX: Final = 0.5
 """Boxes whose sides are this close are the same."""
 _SAME_PLACE_M: Final = 0.05
 _LAST_S: Final = 0.2
-"""How long before the end of a trace that which ends the drive may happen."""
+"""How long before the end of a trace the event that ends the drive may happen."""
 _LEAD_UP_S: Final = 3.0
 _FOLLOW_UP_S: Final = 5.0
 _LEAST_WINDOW_S: Final = 12.0

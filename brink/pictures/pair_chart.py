@@ -62,7 +62,7 @@ _LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 158, 118, 26, 44
 _NEAR_END: Final = 0.05
 """Share of the width of the chart at whose end a word in the middle would not fit."""
 _LAST_S: Final = 0.3
-"""A line this shortly after the end of a drive strikes nothing through that is written behind it."""
+"""A line this shortly after the end of a drive does not cross out the text behind it."""
 _ABOVE_PX: Final = round(9.4 * DPI / 72)
 """Size of the words above the lanes."""
 _SECOND_ROW_PX: Final = 15
@@ -84,7 +84,7 @@ class Panel(StrEnum):
 
     SPEED = "speed"
     MARGIN = "margin"
-    """The margin of the requirement or, among the same road users, the distance to whom the violation is about."""
+    """The margin of the requirement or, among the same road users, the distance to the one the violation is about."""
 
 
 _SHARES: Final = {Panel.SPEED: 0.4, Panel.MARGIN: 0.6}

@@ -74,7 +74,7 @@ _PLANS: Final = {
     "overtake": "passes in the other lane",
     "stop": "stops at a light",
 }
-"""What the driving system's plans mean, in half a line each."""
+"""Meanings of the driving system's plans, in half a line each."""
 _LEAST_LEGEND_PX: Final = 10
 _ROAD_NUMBER: Final = re.compile(r" \(road \d+\)")
 _UNIT: Final = re.compile(r"(\d) (s|m|m/s)\b")
@@ -91,7 +91,7 @@ _REACH_M: Final = 20.0
 AHEAD_S: Final = 4.0
 """How much of each car's way after the moment a still image shows."""
 FILM_LEAD_UP_S: Final = 2.0
-"""How long before the span that matters a film begins, if the pair names when that is."""
+"""How long before the relevant span a film begins, if the pair names that span."""
 _TOLERANCE_S: Final = 1e-3
 
 _MARGIN: Final = 24

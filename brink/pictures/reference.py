@@ -42,7 +42,7 @@ _SETTING: Final = (
     "driver applies no rules of priority."
 )
 _LEADS_TO_S: Final = 3.0
-"""A collision this soon after another violation is what that led to."""
+"""A collision this soon after another violation counts as its consequence."""
 _STANDS_S: Final = 1.0
 _CREEPS_M: Final = 0.5
 """A driver who stands for a shorter time, or moves up farther afterwards, creeps rather than stops."""
@@ -65,9 +65,9 @@ _MARKS: Final[Mapping[str, str]] = {
 }
 """What violations are called in a chart."""
 _LOOK_BACK_S: Final = 5.0
-"""How long before the violation a driver may have braked who is not slow then."""
+"""How long before the violation a driver who is not slow may have braked."""
 _BEFORE_S: Final = 1.5
-"""How long before the violation a driver may be slow already who avoids it by being slow."""
+"""How long before the violation a driver who avoids it by driving slowly may already be slow."""
 _AS_NEAR_M: Final = 0.02
 """Distances this close are the same: the first one is shown."""
 _AFTERWARDS_S: Final = 1.0
@@ -81,7 +81,7 @@ _HERE_M: Final = 10.0
 _TOLERANCE_S: Final = 1e-3
 _EARLIER_S: Final = 5.0
 _APART_M: Final = 15.0
-"""Drives that are this far apart, in time or at the same time, are not where the other one is."""
+"""Drives at least this far apart, in time or distance, are not in the same place."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

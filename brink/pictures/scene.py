@@ -52,10 +52,10 @@ _MATCH_PX: Final = 4.0
 A pixel is centimetres close by and metres far away.
 """
 _GHOST_ERROR: Final = "ghost"
-"""What the names of errors begin with that report what is not there."""
+"""Prefixes of the names of errors that report things that do not exist."""
 _LABEL_ERROR: Final = "wrong_label"
 _IN_PLACE: Final = frozenset({"miss", "late", "flicker", "short_range", "too_fast", "speed_noise"})
-"""Errors that hide what is there, or mistake its speed, but report nothing where it is not."""
+"""Errors that hide objects or mistake their speed, but report nothing that does not exist."""
 _ACTOR_KINDS: Final = ("vehicle", "pedestrian", "vehicle")
 """The kind of road user that an obstacle matches, by label."""
 PARKED: Final = "parked-car"

@@ -18,11 +18,11 @@ from brink.sim.urban.detection_errors import Target
 MAX_BYTES: Final = 512 * 1024**2
 """Maximum size of a file."""
 MAX_BOXES: Final = 5_000_000
-"""Most boxes of a recording."""
+"""Maximum number of boxes of a recording."""
 MAX_IMAGES: Final = 1_000_000
-"""Most images of a recording."""
+"""Maximum number of images of a recording."""
 MAX_SEQUENCES: Final = 10_000
-"""Most files or folders that are looked at in a folder."""
+"""Maximum number of files or folders that are read from a folder."""
 MAX_TIME_S: Final = 1e11
 """Largest time, so that seconds and milliseconds since 1970 fit."""
 TIME_DECIMALS: Final = 3

@@ -53,7 +53,7 @@ def standing_cells(one: PairStanding, *, computed: bool) -> list[str]:
     elif computed:
         confirmed = DASH
     else:
-        confirmed = f"known of {one.known} of {one.distinct.repeats} campaigns" if one.tried else "not tried"
+        confirmed = f"known for {one.known} of {one.distinct.repeats} campaigns" if one.tried else "not tried"
     unchecked = "none checked" if one.pairs else "no pair"
     return [
         interval_text(one.distinct),

@@ -36,7 +36,7 @@ from brink.worker.errors import WorkerError
 
 MOST_PAIRS: Final = 6
 OTHERS_PAIRS: Final = 2
-"""Most pairs drawn where the search looked for something else."""
+"""Maximum number of pairs drawn if the search had another purpose."""
 TYPES_DRAWN: Final = 4
 CHAINS_DRAWN: Final = 1
 """A chain and its parts are up to six drives with a camera, each of which takes as long as in the search."""

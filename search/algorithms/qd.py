@@ -93,7 +93,8 @@ class QdConfig(LedgerConfig):
     generation_size: int = setting(30, help="Solutions per generation.", ge=1, le=1_000)
     in_flight: int = setting(
         2,
-        help="Generations in flight at a time. More keep more workers busy; fewer let every choice know more.",
+        help="Generations in flight at a time. With more, more workers are busy; with fewer, each choice is "
+        "based on more results.",
         ge=1,
         le=100,
     )

@@ -185,7 +185,7 @@ class _Tally:
 
     @property
     def needed(self) -> int:
-        """Fewest further drives that confirm its verdict."""
+        """Minimum number of further drives that confirm its verdict."""
         return drives_to_confirm(self.other + self.failed) - self.evaluated - self.failed
 
 

@@ -36,13 +36,13 @@ from brink.search.features import FeatureArray, Features
 from brink.search.space import BoolArray, FloatArray, IntArray, frozen_array
 
 FOLDS: Final = (10, 5, 3)
-"""Numbers of folds, of which the first is used that the solutions allow."""
+"""Candidate numbers of folds; the first feasible one is used."""
 TREES: Final = 100
 """Number of trees of each model."""
 SHRINKAGE: Final = 5.0
 """L2 penalty on the values of leaves; chosen by cross-validation, with which calibration has a slope near 1."""
 LEAST_OF_A_VERDICT: Final = 10
-"""Fewest solutions of each verdict to which trees are fitted."""
+"""Minimum number of solutions of each verdict to which trees are fitted."""
 _TOLERANCE: Final = 1e-6
 _CHECKED: Final = 200
 """Number of solutions on which the exported trees are compared with scikit-learn's."""

@@ -43,7 +43,7 @@ THIN: Final = 5
 NEAR_S: Final = 1.0
 """Steps this much earlier than the longest horizon are not thinned."""
 LEAST_VIOLATIONS: Final = 10
-"""Fewest drives with a violation, and without one, to which a guard is fitted."""
+"""Minimum number of drives with a violation, and without one, to which a guard is fitted."""
 _TOLERANCE: Final = 1e-6
 
 HalfArray: TypeAlias = NDArray[np.float16]

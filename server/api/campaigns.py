@@ -103,7 +103,7 @@ UnfoldQuery = Annotated[
     list[str] | None,
     Query(
         max_length=50,
-        description="With hidden follow-ups: campaigns below which they are listed all the same.",
+        description="With hidden follow-ups: campaigns below which they are listed nevertheless.",
     ),
 ]
 

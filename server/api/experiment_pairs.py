@@ -133,7 +133,9 @@ class PairRepeatView(View):
     checked_confirmed: Annotated[int, Field(description="Checked ones among the confirmed.")]
     component: Annotated[int, Field(description="Unsafe sides that are safe with ground truth.")]
     scenario: Annotated[int, Field(description="Unsafe sides that are unsafe with ground truth, too.")]
-    drives: Annotated[int, Field(description="Fewest drives with other seeds of any side of a tried pair.")]
+    drives: Annotated[
+        int, Field(description="Minimum number of drives with other seeds, over all sides of tried pairs.")
+    ]
 
 
 class LeftOutView(View):

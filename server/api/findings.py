@@ -19,7 +19,9 @@ _OWN: Final = frozenset({"table", "rows", "format"})
 async def get_findings(
     campaign_id: str,
     services: Services,
-    rows: Annotated[int, Query(ge=0, le=MOST_ROWS, description="Most rows of each table.")] = ROWS,
+    rows: Annotated[
+        int, Query(ge=0, le=MOST_ROWS, description="Maximum number of rows of each table.")
+    ] = ROWS,
 ) -> Findings:
     """Return a campaign's findings: a summary sentence, all kinds, and next steps."""
     return await find_all(services, await services.campaigns.get(campaign_id), rows=rows)
@@ -34,7 +36,9 @@ async def get_finding(
     services: Services,
     request: Request,
     table: Annotated[str | None, Query(description="Name of the table; by default the first.")] = None,
-    rows: Annotated[int, Query(ge=1, le=MOST_ROWS, description="Most rows of each table.")] = MOST_ROWS,
+    rows: Annotated[
+        int, Query(ge=1, le=MOST_ROWS, description="Maximum number of rows of each table.")
+    ] = MOST_ROWS,
     format: Literal["json", "csv", "jsonl", "parquet"] = "json",  # noqa: A002  (the name of the query parameter)
 ) -> Response:
     """Return one kind of a campaign's findings: a sentence, its tables and next steps, or one table as a file.

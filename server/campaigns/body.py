@@ -246,7 +246,7 @@ class CampaignBody(Body):
             description="Set by the coordinator: the SHA-256 of the source of each plug-in, except Brink's own.",
         ),
     ] = Field(default_factory=dict)
-    tags: Tags = Field(default_factory=list, description="Short words by which to find the campaign again.")
+    tags: Tags = Field(default_factory=list, description="Short words for finding the campaign later.")
     notes: Annotated[Notes, Field(description="Free-text notes about the campaign.")] = ""
 
     def within_odd(self, odd: Mapping[str, Any]) -> Self:

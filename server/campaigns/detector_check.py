@@ -22,7 +22,7 @@ from brink.sim.urban.error_meter import MEASURES
 
 MOST_DRIVES = 10_000
 WORST = 5
-"""Most drives listed as the worst of a cell."""
+"""Maximum number of drives listed as the worst of a cell."""
 ALL_DRIVES = "all drives"
 """The condition of drives of which none is known."""
 
@@ -34,7 +34,7 @@ class CheckResult(StrEnum):
     NOT_MET = "not met"
     TOO_LITTLE = "not enough data"
     NO_DATA = "no data"
-    """No drive tells: the target never was in sight, or errors of the type are not measured."""
+    """No informative drive: the target was never in sight, or errors of the type are not measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +108,7 @@ def check_detector(
     """
     if not isinstance(problem, RatesMeasuredErrors):
         raise InvalidInput.at(
-            "/path/campaign_id", "the problem of this campaign does not know measured errors"
+            "/path/campaign_id", "the problem of this campaign does not support measured errors"
         )
     conditions = found.layout.conditions
     has_conditions = tuple(conditions) != (ALL_DRIVES,)

@@ -25,7 +25,7 @@ PATIENCE_STEPS: Final = 4.0
 """The same, relative to the time that the campaign's last step took."""
 LONGEST_PATIENCE_S: Final = 30.0
 WORTH_LEAVING_S: Final = 1.0
-"""On SQLite, where the others are not told, a step that takes less is not left: they only look once a second."""
+"""On SQLite, where the others are not notified, a shorter step is not left to them: they only look once a second."""
 FORGET_S: Final = 3600.0
 
 

@@ -57,7 +57,7 @@ T = TypeVar("T")
 log = logging.getLogger(__name__)
 
 SIZE_GROWTH: Final = 1.25
-"""A search is measured again once it has so many times the generations that it had."""
+"""A search is measured again once its number of generations has grown by this factor."""
 MOST_IN_FLIGHT: Final = 20_000
 """Maximum number of candidates that a submitted campaign may have in flight. A thousand workers that simulate eight
 each keep 8,000 in flight."""

@@ -28,7 +28,7 @@ from brink.sim.catalogue import is_own_plugin
 from brink.worker.wire import Completed
 
 UNREADABLE: Final = (LookupError, ValueError, TypeError, ArithmeticError)
-"""What a problem raises for a result that it cannot evaluate."""
+"""Errors that a problem raises for a result that it cannot evaluate."""
 CACHED: Final = 1000
 """Number of campaigns whose expectations are kept; more hardly ever run at once."""
 CHECK_S: Final = 1.0

@@ -119,7 +119,7 @@ class CampaignRow(Base):
     created_at: Mapped[datetime]
     finished_at: Mapped[datetime | None]
     deleted_at: Mapped[datetime | None]
-    """When it was deleted: nobody finds it, and its rows are being erased."""
+    """When it was deleted: it is hidden, and its rows are being erased."""
 
 
 class CampaignTagRow(Base):
@@ -180,7 +180,7 @@ class FollowUpRow(Base):
     t_b: Mapped[float | None]
     d_th: Mapped[float | None]
     repeats: Mapped[int | None] = mapped_column(Integer)
-    """Most simulations of each solution, with other seeds."""
+    """Maximum number of simulations of each solution, with other seeds."""
     numbers: Mapped[list[int]] = mapped_column(JSON)
 
 
@@ -347,7 +347,7 @@ class JobRow(Base):
     lease_worker: Mapped[str | None] = mapped_column(String(64))
     lease_expires_at: Mapped[datetime | None]
     interrupted: Mapped[bool] = mapped_column(default=False, server_default=false())
-    """Whether no coordinator was there during the last lease, which was not renewed since: its end is not a loss."""
+    """Whether no coordinator ran during the last lease, which has not been renewed since: its end is not a loss."""
     failed_worker: Mapped[str | None] = mapped_column(String(64))
     result: Mapped[str | None] = mapped_column(Text)
     last_error: Mapped[str | None] = mapped_column(Reason)

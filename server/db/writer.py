@@ -30,7 +30,7 @@ Unit = Callable[[Connection], T]
 MAX_UNITS_A_COMMIT = 256
 TRIES = 3
 REFUSALS = (Conflict, InvalidInput, NotFound)
-"""Errors with which a unit refuses what it was asked; the connection is fine."""
+"""Errors by which a unit refuses its request; the connection is fine."""
 GROUP_TRIES = 3
 """How often a batch is run together, each time without the unit that refused before."""
 CONFLICTS = frozenset({"40001", "40P01", "23505", "26000"})

@@ -76,7 +76,8 @@ class PairsChoice(Body):
         Field(
             ge=0,
             le=10_000,
-            description="Most simulations of each side of each distinct pair with other seeds: 0, or at least 15.",
+            description="Maximum number of simulations of each side of each distinct pair with other seeds: 0, "
+            "or at least 15.",
         ),
     ] = 0
     component: Annotated[

@@ -18,9 +18,9 @@ class Sources:
 
     engines: Engines
     pages: ReadThreads
-    """Threads for what takes up to seconds: reading archives and results, decoding and encoding them."""
+    """Threads for tasks of up to a few seconds: reading archives and results, decoding and encoding them."""
     analyses: ReadThreads
-    """Threads for what takes longer: comparing all solutions with each other."""
+    """Threads for longer tasks: comparing all solutions with each other."""
     archives: Archives
     boundaries: Boundaries
     outcomes: Outcomes

@@ -43,7 +43,7 @@ SAMPLED_ROWS: Final = 64
 """Solutions of each campaign whose stored distances are verified."""
 VERIFIED_RESULTS: Final = 20_000
 """Results that are evaluated again unless all are to be: these take a few seconds."""
-RESTORE: Final = "restore the database from a backup; what the search found since then rests on this"
+RESTORE: Final = "restore the database from a backup; the results of the search since then depend on this"
 
 
 class State(StrEnum):
@@ -200,7 +200,7 @@ def _campaigns(connection: Connection) -> Iterator[Finding]:
 
     overdue = select(func.count()).where(CampaignRow.deleted_at < horizon)
     if left := connection.execute(overdue).scalar_one():
-        advice = "any coordinator on this database goes on with it: brink serve"
+        advice = "any coordinator on this database continues it: brink serve"
         found = f"{left} were deleted over {OVERDUE_S:g} s ago, and their rows are not erased yet"
         yield Finding("campaigns", State.LOOK, found, advice)
 

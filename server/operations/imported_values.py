@@ -148,4 +148,4 @@ _RULES: Final[Mapping[str, Callable[[Any], object]]] = {
     "timeout_s": _timeout,
     "result": Completed.model_validate_json,
 }
-"""For each column with further conditions, what raises ValueError if a value does not meet them."""
+"""For each column with further conditions, a check that raises ValueError if a value does not meet them."""

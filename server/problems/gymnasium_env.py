@@ -49,7 +49,7 @@ TYPES: Final = tuple(kind.value for kind in PerturbationType)
 CART_POLE: Final = "CartPole-v1"
 _RESET_SEED: Final = "reset_seed"
 _GREATEST_BOUND: Final = 1e3
-"""A greater bound of an observation says nothing about how large it usually is."""
+"""A larger bound of an observation does not indicate its usual size."""
 _KNOWN: Final[Mapping[str, tuple[tuple[str, float], ...]]] = {
     CART_POLE: (
         ("cart position", 1.0),
@@ -79,7 +79,9 @@ class GymnasiumParams:
     )
     steps: int = setting(500, ge=1, le=MAX_STEPS, help="Maximum number of steps of an episode.")
     step_s: float = setting(0.02, gt=0.0, le=60.0, unit="s", help="Simulated time of a step.")
-    perturbations: int = setting(1, ge=1, le=MAX_PERTURBATIONS, help="Most perturbations in an episode.")
+    perturbations: int = setting(
+        1, ge=1, le=MAX_PERTURBATIONS, help="Maximum number of perturbations in an episode."
+    )
     types: list[str] = field(
         default_factory=lambda: list(TYPES),
         metadata={"help": "Allowed perturbations: bias, gain, noise, freeze, dropout."},

@@ -65,7 +65,7 @@ class HighwayPerceptionParams:
         metadata={"help": "Roads of the scenarios: highway, merge, roundabout, intersection."},
     )
     requirement: str | list[str] = requirement_setting(REQUIREMENTS, REQUIREMENTS)  # noqa: RUF009
-    errors: int = setting(2, ge=1, le=MAX_ERRORS, help="Most errors in an episode.")
+    errors: int = setting(2, ge=1, le=MAX_ERRORS, help="Maximum number of errors in an episode.")
     duration_s: float = setting(20.0, ge=5.0, le=MAX_DURATION_S, unit="s", help="Length of an episode.")
     timeout_s: float = setting(60.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")
 

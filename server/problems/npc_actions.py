@@ -48,9 +48,9 @@ ORACLES: Final = (
 FORMER: Final = {"front-gap@1": "front-gap@2"}
 """Requirements that campaigns may name besides, and the present ones, of which results of old campaigns have none."""
 UNAVOIDABLE_M: Final = 250.0
-"""Criticality of a violation that does not count: behind everything that has no violation."""
+"""Criticality of a violation that does not count: worse than that of any solution without a violation."""
 _BY_GAP: Final = ("any", "no-collision@1", "front-gap@2", *FORMER)
-"""Values of `violation` that the gap between the ego and the nearest road user says something about."""
+"""Values of `violation` for which the gap between the ego and the nearest road user is meaningful."""
 ROAD_USERS: Final = "road_users"
 LIT: Final = "crossroad"
 _SYSTEM: Final = (
@@ -164,7 +164,7 @@ class NpcActions(SimulatedProblem):
         if not self.by_gap or self.params.violation in _BY_GAP:
             return None
         return "criticality", (
-            f"expected auto or robustness: the gap to road users says nothing about {self.params.violation}"
+            f"expected auto or robustness: the gap to road users is not meaningful for {self.params.violation}"
         )
 
     def with_truth(self) -> Self | None:

@@ -58,7 +58,7 @@ from brink.sim.perception_errors import MODE
 RECORDED: Final = ("front-gap@1", "no-collision@1", "red-light@1")
 """Requirements that every episode evaluates."""
 NOT_MEASURED: Final = ("lane-keeping@1", "progress@1", "no-dangerous-stop@1")
-"""Requirements that say nothing here: SUMO keeps vehicles in lanes, and knows neither goals nor reasons to stop."""
+"""Requirements without meaning here: SUMO keeps vehicles in lanes, and knows neither goals nor reasons to stop."""
 LATEST_ONSET_S: Final = 40.0
 LATEST_INCIDENT_S: Final = 40.0
 COVERED: Final = (ErrorType.MISS, ErrorType.TOO_FAR)

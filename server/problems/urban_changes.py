@@ -22,7 +22,7 @@ _LEAST_PX: Final = 0.05
 _MOMENTS: Final = 30
 """Parts of the time in which both drives report something, at whose ends distances are compared."""
 _MUCH_FARTHER: Final = 1.2
-"""A place so many times as far away is a change worth telling."""
+"""A change of distance by this factor is worth describing."""
 _LEAST_M: Final = 0.005
 """Smaller changes of a distance would be shown as no change."""
 _MINOR: Final = 0.2

@@ -58,7 +58,7 @@ class UrbanErrorsParams(UrbanParams):
     """Parameters of the problem."""
 
     requirement: str | list[str] = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009
-    errors: int = setting(2, ge=1, le=MAX_ERRORS, help="Most errors in an episode.")
+    errors: int = setting(2, ge=1, le=MAX_ERRORS, help="Maximum number of errors in an episode.")
 
 
 def errors_component(count: int, duration_s: float) -> Component:

@@ -87,7 +87,10 @@ class UrbanInjectedParams(UrbanParams):
     """Parameters of the problem."""
 
     trajectories: int = setting(
-        b.TRAJECTORY_COUNT, ge=1, le=MOST_TRAJECTORIES, help="Most injected trajectories in an episode."
+        b.TRAJECTORY_COUNT,
+        ge=1,
+        le=MOST_TRAJECTORIES,
+        help="Maximum number of injected trajectories in an episode.",
     )
 
 

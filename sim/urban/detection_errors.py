@@ -23,7 +23,7 @@ from brink.sim.errors import InvalidEpisode
 from brink.sim.perception_errors import MODE, Magnitude
 
 MAX_ERRORS: Final = 8
-"""Most errors in an episode."""
+"""Maximum number of errors in an episode."""
 
 
 class ErrorType(StrEnum):

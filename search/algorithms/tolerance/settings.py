@@ -69,7 +69,7 @@ class ToleranceConfig(LedgerConfig):
     design: str = setting(
         "adaptive",
         help="Where to simulate: adaptive; uniform for equally many drives at equally spaced severities, a baseline "
-        "to compare with; or random for equally many at severities drawn by chance, to check a requirement.",
+        "to compare with; or random for equally many at random severities, to check a requirement.",
         choices=("adaptive", "uniform", "random"),
     )
     levels: int = setting(8, help="Severities of the uniform design; a divisor of 32.", ge=1, le=32)
@@ -84,14 +84,15 @@ class ToleranceConfig(LedgerConfig):
     needs: dict[str, dict[str, list[str]]] = field(
         default_factory=dict,
         metadata={
-            "help": "What the scenario must have for a choice to mean anything, such as {target=pedestrian: "
+            "help": "What the scenario must contain for a choice to be meaningful, such as {target=pedestrian: "
             "{pedestrians: ['18']}}."
         },
     )
     generation_size: int = setting(60, help="Candidates per generation.", ge=1, le=10_000)
     in_flight: int = setting(
         3,
-        help="Generations in flight at a time. More keep more workers busy; fewer let every choice know more.",
+        help="Generations in flight at a time. With more, more workers are busy; with fewer, each choice is "
+        "based on more results.",
         ge=1,
         le=1000,
     )

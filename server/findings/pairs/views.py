@@ -272,7 +272,8 @@ class FollowUpBody(Body):
         Field(
             ge=2,
             le=10_000,
-            description="Most simulations of each side, to confirm pairs. It takes fewer once a side is confirmed or "
+            description="Maximum number of simulations of each side, to confirm pairs. It takes fewer once a "
+            "side is confirmed or "
             f"refuted; fewer than {FIRST} confirm none.",
         ),
     ] = DEFAULT_CONFIRMATIONS

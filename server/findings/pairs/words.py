@@ -12,7 +12,7 @@ from brink.server.problems.changes import as_sentence
 from brink.sim.verdict import held_words
 
 _CUT: Final = " more difference"
-"""In a change in words that leaves differences out."""
+"""Part of a change in words that omits differences."""
 _GAP_HELD: Final = held_words(["front-gap"])
 _REPEATED: Final = (Confirmation.CONFIRMED, Confirmation.REFUTED, Confirmation.UNDECIDED)
 _ONE_SEED: Final = "the {} is to blame, judged with this one seed"

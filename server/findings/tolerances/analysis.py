@@ -34,7 +34,7 @@ _NEARLY_ALL = 0.95
 
 
 EXAMPLES = 5
-"""Most violations listed for a cell."""
+"""Maximum number of violations listed for a cell."""
 
 
 BASELINE_CONFIDENCE = 0.95

@@ -16,7 +16,7 @@ SIMULATOR_ID: Final = "gymnasium@1"
 EXTRA: Final = "gymnasium"
 MAX_STEPS: Final = 100_000
 MAX_PERTURBATIONS: Final = 8
-"""Most perturbations in an episode."""
+"""Maximum number of perturbations in an episode."""
 MAX_DIMENSIONS: Final = 1024
 POLICIES: Final = "brink.sim.adapters.gymnasium_env.policies"
 OWN_MODULES: Final = (POLICIES,)

@@ -21,7 +21,7 @@ STEPS_PER_S: Final = 10
 RANGE_M: Final = 100.0
 """Distance within which the ego perceives vehicles."""
 MAX_ERRORS: Final = 8
-"""Most errors in an episode."""
+"""Maximum number of errors in an episode."""
 LONGEST_S: Final = 8.0
 
 

@@ -16,7 +16,7 @@ AHEAD_M: Final = 100.0
 """How far ahead and behind other vehicles are looked for."""
 RELEVANT_TTC_S: Final = 20.0
 PASSED_M: Final = 1e-3
-"""Least distance past a stop line that has been passed."""
+"""Minimum distance past a stop line that has been passed."""
 _LIGHTS: Final = {
     "r": LightState.RED,
     "u": LightState.RED,

@@ -81,7 +81,7 @@ def test_a_search_by_a_gap_that_says_nothing_about_the_requirement_is_refused(
     assert error["pointer"] == "/problem/params/criticality"
     assert (
         error["message"]
-        == f"expected auto or robustness: the gap to road users says nothing about {violation}"
+        == f"expected auto or robustness: the gap to road users is not meaningful for {violation}"
     )
     by_elites = {**traffic(violation=violation, criticality="gap"), "algorithm": {"id": "qd@1"}}
     expect(client.post(API, json=by_elites), 422)

@@ -52,7 +52,7 @@ from brink.server.errors import FieldError, InvalidInput
 from brink.server.states import FollowUpKind, Selection
 
 DEFAULT_CONFIRMATIONS = 30
-"""Most simulations of each side, to confirm pairs; a clear side takes 15, or 4."""
+"""Maximum number of simulations of each side, to confirm pairs; a clear side takes 15, or 4."""
 _MOST_ERRORS = 20
 
 
