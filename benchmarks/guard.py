@@ -55,7 +55,7 @@ class Judged:
 
     Attributes:
         trained_on: The training set.
-        sensor: What the car has.
+        sensor: The sensors of the car.
         judged_on: Which of the fresh drives.
         drives: Number of training drives.
         violations: Number of training drives with a violation.

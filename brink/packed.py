@@ -62,7 +62,7 @@ def read_header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], np.dtype[A
         size: Size of the file.
 
     Raises:
-        ValueError: It is no array of numbers, or its shape does not fit the size.
+        ValueError: It is not an array of numbers, or its shape does not fit the size.
     """
     version = np.lib.format.read_magic(file)
     if version != (1, 0):  # later versions have headers of up to 4 GB
@@ -86,7 +86,7 @@ def read_arrays(content: bytes, most_bytes: int) -> dict[str, NDArray[Any]]:
         most_bytes: Maximum size of all arrays together.
 
     Raises:
-        ValueError: It is no such archive, or has too much in it.
+        ValueError: It is not such an archive, or is too large.
         zipfile.BadZipFile: It is damaged; other errors of zipfile are possible, too.
     """
     arrays = {}

@@ -33,7 +33,7 @@ def read_file(path: str | Path, most_bytes: int) -> bytes:
         most_bytes: Maximum size.
 
     Raises:
-        OSError: It cannot be read, is no regular file, or is larger.
+        OSError: It cannot be read, is not a regular file, or is larger.
         ValueError: The path contains a NUL character.
     """
     with open_file(path) as file:
@@ -48,7 +48,7 @@ def read_text(path: str | Path, most_bytes: int) -> str:
     """Return the content of a regular file in UTF-8, as `read_file` does.
 
     Raises:
-        OSError: It cannot be read, is no regular file, or is larger.
+        OSError: It cannot be read, is not a regular file, or is larger.
         UnicodeDecodeError: It is not UTF-8.
     """
     return read_file(path, most_bytes).decode("utf-8")

@@ -7,7 +7,7 @@ drives with a caused violation as a function of severity, and the *tolerated sev
 limit.
 
 Where a grossest error is known, such as never reporting the target, every drive is *screened* with it first. Drives
-that hold then are taken to hold with any milder error, and only the *vulnerable* ones are simulated with those. The
+that hold then are assumed to hold with any milder error, and only the *vulnerable* ones are simulated with those. The
 curve is then the share of vulnerable drives times the curve among them. Audits simulate some of the others, too: what
 they find is added.
 
@@ -389,15 +389,15 @@ def flawless_drives(limit: float, confidence: float) -> int:
 class Screening:
     """How often the most severe error causes a violation, and how far that covers milder errors.
 
-    Drives that hold with the grossest error *leak* if they violate with a milder one. Their share is taken to grow in
-    proportion to severity. It is estimated from the audits of the group alone, each of which tells as much as its
-    severity; without audits it is unknown.
+    Drives that hold with the most severe error *leak* if they violate with a milder one. Their share is assumed to
+    grow in proportion to severity. It is estimated from the audits of the group alone, each of which tells as much as
+    its severity; without audits it is unknown.
 
     Attributes:
         vulnerable: Screened drives with a violation that the grossest error caused.
         screened: All screened drives.
         audits: Audited drives by level, for the levels 1 to `LEVELS`, shape ``(LEVELS,)``; None if the search audits
-            nothing and takes it on trust that no drive leaks.
+            nothing and assumes that no drive leaks.
         leaks: Those that violated, same shape; None likewise.
     """
 

@@ -272,7 +272,7 @@ def load_function(where: str, name: str, own_modules: Sequence[str] = ()) -> Cal
         own_modules: Modules of Brink that may be named as well.
 
     Raises:
-        InvalidEpisode: The module is no plug-in, or has no such function.
+        InvalidEpisode: The module is not a plug-in, or has no such function.
     """
     import_plugin_modules()
     module, _, function = name.partition(":")

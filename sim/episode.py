@@ -213,7 +213,7 @@ def parse_number(where: str, value: Json, low: float, high: float, unit: str = "
         unit: Their unit.
 
     Raises:
-        InvalidEpisode: It is no number, or out of range.
+        InvalidEpisode: It is not a number, or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
         expected = f"[{low:g}, {high:g}] {unit}".rstrip()
@@ -225,7 +225,7 @@ def parse_integer(where: str, value: Json, low: int, high: int) -> int:
     """Parse an integer in a range; the arguments are those of `parse_number`.
 
     Raises:
-        InvalidEpisode: It is no integer, or out of range.
+        InvalidEpisode: It is not an integer, or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise InvalidEpisode(f"{where}: expected an integer in [{low}, {high}], got {value!r:.80}")

@@ -62,8 +62,8 @@ class Impact:
 
     Attributes:
         place: Part of the ego that was touched, such as ``front``, ``left side`` or ``right rear``.
-        by_other: Whether the other one ran into the ego: into its side or rear, and moving towards it.
-        on_foot: Whether the other one is a pedestrian.
+        by_other: Whether the other road user ran into the ego: into its side or rear, and moving towards it.
+        on_foot: Whether the other road user is a pedestrian.
     """
 
     place: str
@@ -81,7 +81,7 @@ class Impact:
             heading_rad: The other's heading relative to the ego's.
             speed_mps: The other's speed.
             ego_mps: The ego's speed.
-            on_foot: Whether the other one is a pedestrian.
+            on_foot: Whether the other road user is a pedestrian.
         """
         off_rad = abs(bearing_rad)
         side = 1.0 if bearing_rad > 0 else -1.0
@@ -104,7 +104,7 @@ class Impact:
         """Return what happened to the ego, such as ``was driven into by car-2 at its left rear`` or ``hit car-4``.
 
         Args:
-            who: What the other one is called.
+            who: Name of the other road user.
         """
         if self.by_other:
             return f"was {'walked' if self.on_foot else 'driven'} into by {who} at its {self.place}"

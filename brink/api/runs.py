@@ -1,6 +1,6 @@
 """Runs of campaigns and experiments: how the earlier run of a file is found and continued, or a new one submitted.
 
-A run that was simulated with other code of a plug-in is no earlier run.
+A run that was simulated with other code of a plug-in is not an earlier run.
 """
 
 from collections.abc import Sequence

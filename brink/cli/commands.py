@@ -144,7 +144,7 @@ def load(name: str, target: str) -> Any:
         found = single
     elif isinstance(vars(found.info)["cls"], DefaultPlaceholder):
         found.info.cls = HelpfulGroup
-    found.rich_markup_mode = None  # square brackets in help and errors are no markup
+    found.rich_markup_mode = None  # square brackets in help and errors are not markup
     command = typer.main.get_command(found)
     command.name = name
     return command

@@ -337,7 +337,7 @@ def parse_thresholds(given: str, scores: Iterable[float]) -> list[float]:
         scores: The scores of all detections.
 
     Raises:
-        InvalidInput: Something is no number, or there are too many.
+        InvalidInput: Something is not a number, or there are too many.
     """
     if given.strip().lower() == AUTOMATIC:
         different = list(scores)

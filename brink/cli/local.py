@@ -232,7 +232,7 @@ async def _start(workload: Workload[P], options: RunOptions, session: CommandSes
         )
     if found is None and options.resume and not options.new:
         session.screen.print(
-            f"there is no earlier {workload.noun} of {options.file}, as it is now, in "
+            f"there is no earlier {workload.noun} of {options.file}, unchanged, in "
             f"{database_place(session.settings)}: this starts one",
             soft_wrap=True,
         )

@@ -15,7 +15,7 @@ for that share is.
 
 The baselines are the time to collision on reported boxes (`ttc@1`), the same on the range sensor if the car has one
 (`range-ttc@1`), an alarm in every drive from its start, and none at all. They compute what those guards compute in
-the car. All predictors confirm an alarm over as many steps as the guard does: a single noisy step is no alarm.
+the car. All predictors confirm an alarm over as many steps as the guard does: a single noisy step does not count.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -153,7 +153,7 @@ class GuardEvaluation:
     """A guard and its baselines on recorded drives.
 
     Attributes:
-        sensor: What the car has.
+        sensor: The sensors of the car.
         requirements: Ids of the requirements.
         drives: Number of drives.
         violations: Number of drives with a violation.

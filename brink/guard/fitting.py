@@ -40,7 +40,7 @@ def fit(
     Args:
         drives: Recorded drives.
         requirements: Ids of the requirements whose violation it predicts.
-        sensor: What the car has.
+        sensor: The sensors of the car.
         horizons_s: Horizons in seconds, ascending.
         false_alarms: Share of safe drives that may have an alarm.
         seed: Divides the drives.

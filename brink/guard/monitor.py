@@ -125,6 +125,6 @@ def guards_in(file: Path) -> FittedGuards:
     """Return the factory of the guard in a file.
 
     Raises:
-        GuardFileError: The file is no guard.
+        GuardFileError: The file is not a guard.
     """
     return FittedGuards(GuardModel.load(file))

@@ -1,8 +1,9 @@
 """A guard's training data: digests of the scenarios, behaviours and solutions of its drives.
 
 They are stored in the guard, so that drives on which it is judged can be told from those that it was fitted to, by
-whatever campaign or seed they came about. The same solution with another seed is no fresh drive, unless the detector
-reports nothing: that is the behaviour of every ninth random drive, and chance and scenario alone tell these apart.
+whatever campaign or seed they came about. The same solution with another seed is not a fresh drive, unless the
+detector reports nothing: that is the behaviour of every ninth random drive, and chance and scenario alone tell these
+apart.
 """
 
 import hashlib

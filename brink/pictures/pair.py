@@ -67,7 +67,7 @@ class Side:
 
     Attributes:
         trace: The drive.
-        number: Number of the solution; None if it is no solution of its own.
+        number: Number of the solution; None if it is not a solution of its own.
         name: What the drive is called, in one word; by default ``safe`` or ``unsafe``.
         car: What its car is called on a map; by default ``safe drive`` or ``unsafe drive``.
         chip: Word that pictures put before what happened, in capitals; by default whether it held the requirement.
@@ -184,7 +184,7 @@ class PairStory:
         unsafe: Story of the unsafe drive.
         moment_s: Time of the unsafe drive's first violation, or of its lowest robustness if the trace has none.
         shown_s: Time of the sample that shows the moment: the next one, since a violation may lie between samples.
-        target: What the violation is about; None if that is no road user, or not known.
+        target: What the violation is about; None if that is not a road user, or unknown.
         differing: When the reports of the drives differ; up to the end of the shorter drive.
         same_seed: Whether both drives have the same episode seed; None if a trace does not record it.
         same_road: Whether both drives use the same road, so that one map can show both.

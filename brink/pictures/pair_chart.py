@@ -60,7 +60,7 @@ _CROWDED: Final = 0.55
 """Share of a panel's height above which a word beside it would hide its name."""
 _LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 158, 118, 26, 44
 _NEAR_END: Final = 0.05
-"""Share of the width of the chart at whose end a word in the middle would not fit."""
+"""Share of the chart's width, at either end, within which a centred word would not fit."""
 _LAST_S: Final = 0.3
 """A line this shortly after the end of a drive does not cross out the text behind it."""
 _ABOVE_PX: Final = round(9.4 * DPI / 72)

@@ -45,7 +45,7 @@ PICTURE_COLOURS: Final = {"judged": (64, 222, 128), "found": (255, 52, 52), "reg
 """Colours of lines that are visible on images by day and by night: ground truth, detections, brake regions."""
 
 _MATCH_M: Final = 2.5
-"""A perceived obstacle this close to a road user of its kind is taken to be that road user."""
+"""A perceived obstacle this close to a road user of its kind is assumed to be that road user."""
 _MATCH_PX: Final = 4.0
 """Where boxes are placed by what is seen, a place that is nearer or farther by this many pixels is the same, too.
 
@@ -59,7 +59,7 @@ _IN_PLACE: Final = frozenset({"miss", "late", "flicker", "short_range", "too_fas
 _ACTOR_KINDS: Final = ("vehicle", "pedestrian", "vehicle")
 """The kind of road user that an obstacle matches, by label."""
 PARKED: Final = "parked-car"
-"""A kind of surface: a vehicle that is no road user."""
+"""A kind of surface: a vehicle that is not a road user."""
 _MOVING_MPS: Final = 1.0
 """A slower obstacle has no heading of its own."""
 _LEAST_SIDE_M: Final = 0.8
@@ -166,8 +166,8 @@ class Obstacles:
         length_m: Extents along the headings, shape ``(k,)``.
         width_m: Extents across the headings, shape ``(k,)``.
         ghost: Whether it is known that no road user of that kind is reported there, shape ``(k,)``.
-        astray: Whether it is no ghost, but no road user of that kind is where it is perceived, shape ``(k,)``: a true
-            one was reported at a wrong place or with a wrong label.
+        astray: Whether it is not a ghost, but no road user of that kind is where it is perceived, shape ``(k,)``: a
+            true one was reported at a wrong place or with a wrong label.
     """
 
     yaw_rad: Points

@@ -65,7 +65,7 @@ async def search_async(
         progress: Whether to show the progress.
 
     Raises:
-        SpaceError: A parameter is not written as expected, or is no argument of the function.
+        SpaceError: A parameter is not written as expected, or is not an argument of the function.
         InvalidInput: Another setting is invalid.
         CampaignUnfinished: More than a fifth of the calls failed, or all of the first five; the message says how
             many, and why the first one did.

@@ -19,7 +19,7 @@ def read_content(path: Path) -> str:
     """Return the content of a text file.
 
     Raises:
-        RecordingError: It cannot be read, is no regular file, is too large, or is not UTF-8.
+        RecordingError: It cannot be read, is not a regular file, is too large, or is not UTF-8.
     """
     try:
         return read_file(path, MAX_BYTES).decode("utf-8-sig")

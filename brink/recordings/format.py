@@ -135,7 +135,7 @@ class RecordingBuilder:
         """Set the condition of a drive; None leaves it unset.
 
         Raises:
-            RecordingError: It is no text, or another than before.
+            RecordingError: It is not text, or differs from before.
         """
         if condition is None:
             return

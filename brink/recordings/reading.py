@@ -127,7 +127,7 @@ def parse_classes(given: Iterable[str]) -> dict[str, ClassMeaning]:
         given: What the user said, such as ``cyclist=person``.
 
     Raises:
-        RecordingError: Something is no name with a meaning.
+        RecordingError: Something is not a name with a meaning.
     """
     meanings: dict[str, ClassMeaning] = {}
     for text in given:

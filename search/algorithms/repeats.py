@@ -239,8 +239,9 @@ class Tallies:
     def conclusions(self, p_th: float, t_b: float) -> list[Conclusion | None]:
         """Return the conclusion on each solution; None without a verdict.
 
-        An interval that contains `p_th` is no evidence for a boundary by itself: with few simulations, every interval
-        does. A solution is near the boundary only if its own simulations meet the criterion of the strict boundary.
+        An interval that contains `p_th` is not evidence for a boundary by itself: with few simulations, every
+        interval does. A solution is near the boundary only if its own simulations meet the criterion of the strict
+        boundary.
 
         Args:
             p_th: Unsafe probability that defines the boundary.

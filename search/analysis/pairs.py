@@ -5,7 +5,7 @@ parameters and other seeds, counts once: it is safe if all its verdicts are, uns
 Chancy solutions are on neither side of a pair. A pair is *checked* if each of its sides was simulated with at least
 two different seeds.
 
-Two near solutions with opposite verdicts are no pair if they differ in no parameter that was active in either of
+Two near solutions with opposite verdicts are not a pair if they differ in no parameter that was active in either of
 their episodes, which then differed only by chance.
 
 Pairs are *distinct* if their midpoints are at least d_th apart. They are taken greedily: checked pairs first, then by

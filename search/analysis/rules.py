@@ -5,8 +5,8 @@ The region is, for example, the unsafe solutions or those on the boundary. The t
 splits so that the shares of the solutions that it sees differ, whether they do elsewhere or not. Compare the share of
 a rule with that of the whole region, and an accuracy with that of always predicting the majority.
 
-Shares have no intervals: a search breeds its solutions from each other, so they are no independent sample of anything
-(ADR 66). A parameter that had no part in an episode is inactive there, whatever its value.
+Shares have no intervals: a search breeds its solutions from each other, so they are not an independent sample of
+anything (ADR 66). A parameter that had no part in an episode is inactive there, whatever its value.
 
 Source: Breiman et al. 1984 (CART), with scikit-learn's implementation (extra `analysis`).
 """
@@ -28,7 +28,7 @@ from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace
 
 DEPTH: Final = 4
 USELESS: Final = 0.65
-"""Balanced accuracy up to which rules are no finding; guessing gives .50."""
+"""Balanced accuracy up to which rules are not a finding; guessing gives .50."""
 LEAST_LEAF: Final = 15
 """Minimum number of solutions per rule, among those to which the tree is fitted."""
 

@@ -365,7 +365,9 @@ class DependenceView(View):
     unsafe: list[int]
     strength: Annotated[
         float,
-        Field(description="Cramér's V between group and verdict. It describes the archive; it is no test."),
+        Field(
+            description="Cramér's V between group and verdict. It describes the archive; it is not a test."
+        ),
     ]
 
 

@@ -12,7 +12,7 @@ from brink.server.findings.summary import MOST_ROWS, ROWS, find_all, find_kind
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/findings", tags=["findings"])
 _OWN: Final = frozenset({"table", "rows", "format"})
-"""Parameters of the query that are no settings of a kind."""
+"""Parameters of the query that are not settings of a kind."""
 
 
 @router.get("")

@@ -305,7 +305,7 @@ class ProblemView(View):
     measures_detector: Annotated[
         bool,
         Field(
-            description="Whether its drives measure the errors of a detector, to hold it against tolerances."
+            description="Whether its drives measure the errors of a detector, to check it against tolerances."
         ),
     ]
     algorithm_defaults: Annotated[

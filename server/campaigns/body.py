@@ -125,7 +125,7 @@ class Execution(Body):
             ge=1,
             le=1000,
             exclude_if=lambda given: given == DEFAULT_MAX_LOSSES,  # for the hashes of older submissions
-            description="Leases lost with their workers before a job is quarantined; they are no failed attempts.",
+            description="Leases lost with their workers before a job is quarantined; they are not failed attempts.",
         ),
     ] = DEFAULT_MAX_LOSSES
     max_failed_share: Annotated[

@@ -193,7 +193,7 @@ def read_drives(connection: Connection, campaign: Campaign, read: ReadArchive, l
         connection: Read connection.
         campaign: The campaign.
         read: Its archive.
-        layout: The cells that the drives are held against, which say what their conditions are.
+        layout: The cells against which the drives are checked, which define their conditions.
 
     Raises:
         InvalidInput: Its episodes do not measure the errors of a detector.

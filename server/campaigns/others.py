@@ -2,7 +2,7 @@
 
 Any other one would first have to read the whole archive, only to find that the step has been taken meanwhile. So it
 leaves a step that is due, and tells the others, if it knows of any. If nobody has taken the step after a while, it
-takes it all the same. Two coordinators that take the same step do no harm; see `brink.server.campaigns.advance`.
+takes it nevertheless. Two coordinators that take the same step do no harm; see `brink.server.campaigns.advance`.
 """
 
 import time

@@ -1,6 +1,6 @@
 """Short summaries of campaigns' findings for lists: of the first kind of finding.
 
-A list of campaigns polls, and what a campaign found takes its whole archive. So words are worked out once a campaign
+A list of campaigns polls, and what a campaign found takes its whole archive. So words are computed once a campaign
 has ended, in a thread of their own, and kept until the campaign or one of its follow-ups changes. Until then a list
 does without. Archives are read past the cache of archives, which holds those that people look at.
 """

@@ -198,7 +198,7 @@ def _plugin_kind(name: str, factory: Callable[[], object]) -> Kind | None:
         log.exception("plug-in cannot be loaded", extra={"plugin": name})
         return None
     if not isinstance(kind, Kind):
-        log.error("plug-in is no kind of finding", extra={"plugin": name})
+        log.error("plug-in is not a kind of finding", extra={"plugin": name})
         return None
     return guarded(name, kind)
 

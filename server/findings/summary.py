@@ -164,7 +164,7 @@ class _Known:
 
 
 def _followed(connection: Connection, campaign: Campaign) -> FollowedView | None:
-    """Return the campaign that a campaign follows up; None if it is no follow-up."""
+    """Return the campaign that a campaign follows up; None if it is not a follow-up."""
     asks = followed_by(connection, campaign.id)
     of = None if asks is None else CAMPAIGNS.find(connection, asks.of_id)
     if asks is None or of is None:

@@ -291,7 +291,7 @@ class ExportFile:
 
         Raises:
             KeyError: There is no such member.
-            BadFile: It is no such array, or larger.
+            BadFile: It is not such an array, or larger.
         """
         with self._archive.open(member) as file:
             shape = self._shape(member, file, dtype)
@@ -308,7 +308,7 @@ class ExportFile:
             columns: Number of columns.
 
         Raises:
-            BadFile: It is no such matrix, or has a number that is not finite.
+            BadFile: It is not such a matrix, or has a number that is not finite.
         """
         if member not in self.members:
             return

@@ -123,7 +123,7 @@ class BaseProblem(ABC):
             sentences.
         errors_problem: Id of the problem that simulates errors of this problem's detector, for tolerances.
         usual_cells: The errors to begin with: parameters and those of their choices to study in combination.
-        measured_detector: Name of the detector whose errors the episodes measure, to hold it against tolerances.
+        measured_detector: Name of the detector whose errors the episodes measure, to check it against tolerances.
     """
 
     id: ClassVar[str]

@@ -76,7 +76,7 @@ class SumoDriversParams:
         ANY, help="Road network; with any, it is part of the scenario.", choices=(ANY, *_NETWORKS)
     )
     network_file: str = setting(
-        "", help="Network of one's own in SUMO's format (.net.xml); it takes the place of network."
+        "", help="The user's own network in SUMO's format (.net.xml), instead of network."
     )
     demand_file: str = setting("", help="Demand for network_file, with vehicles and their routes (.rou.xml).")
     ego: str = setting("ego", help="Id of the vehicle under test in demand_file.")
@@ -91,7 +91,7 @@ class SumoDriversParams:
         for name, other in (("demand_file", self.network_file), ("network_file", self.demand_file)):
             if other and not getattr(self, name):
                 raise ConfigError(
-                    name, "expected a file: a network of one's own needs network_file and demand_file"
+                    name, "expected a file: your own network needs network_file and demand_file"
                 )
         if self.network_file and self.network != ANY:
             raise ConfigError("network", f"expected {ANY} or no value, because network_file is given")

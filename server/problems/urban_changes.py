@@ -39,7 +39,7 @@ _SCENARIO: Final = {
 _MOST_LETTERS: Final = 90
 """In a longer description, only what differs most is described, and the rest is counted."""
 _ABSENT_PX: Final = float(b.IMAGE_WIDTH_PX)
-"""What one drive reports and the other one does not, or not at that time, differs by the whole image."""
+"""A report that only one drive has at a time counts as a difference of the whole image."""
 _PX_PER_STEP: Final = 8.0
 """How much a step in which one drive alone reports something counts: ten seconds as much as the whole image."""
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")

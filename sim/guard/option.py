@@ -199,7 +199,7 @@ def guard_digest(file: Path) -> str:
     """Return the digest of a guard's file: 16 hexadecimal digits of its SHA-256.
 
     Raises:
-        InvalidEpisode: The file cannot be read, is no regular file, or is too large for a guard.
+        InvalidEpisode: The file cannot be read, is not a regular file, or is too large for a guard.
     """
     try:
         if file.exists() and not file.is_file():
@@ -242,7 +242,7 @@ def _maker(guard: str, digest: str = "") -> MakeGuard:
 
     Raises:
         InvalidEpisode: The guard is unknown.
-        GuardFileError: Its file is no guard.
+        GuardFileError: Its file is not a guard.
     """
     if guard.startswith(FILE):
         return _from_file(_path(guard), digest)

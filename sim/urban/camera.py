@@ -1,7 +1,7 @@
 """The camera on urban roads: renders what the ego sees and returns a detector's boxes.
 
 `brink-drive-camera@2` runs urban episodes with the detector in the loop. Its results say how wrong the detector was,
-in the terms of `detection_errors`, so that it can be held against a requirement.
+in the terms of `detection_errors`, so that it can be checked against a requirement.
 """
 
 import math

@@ -49,7 +49,7 @@ def test_a_campaign_file_becomes_results(
         assert "archive sha256 " in said.stdout
         place = re.escape(url.removeprefix("sqlite:///").partition("@")[2] or url.removeprefix("sqlite:///"))
         assert re.search(
-            rf"no earlier campaign of .*campaign.yaml, as it is now, in .*{place}: this", said.stdout
+            rf"no earlier campaign of .*campaign.yaml, unchanged, in .*{place}: this", said.stdout
         )
         [page] = re.findall(r"watch it in a browser until it ends: http://127.0.0.1:\d+(/\S+)", said.stdout)
         again = rf"look at it again: \S*brink serve --database \S*{place}'?, then open http://127.0.0.1:8700{page}\n"

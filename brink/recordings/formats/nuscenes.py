@@ -63,9 +63,9 @@ _DETECTION_CLASSES: Final = {
     "movable_object": "object",
     "static_object": "object",
 }
-"""Class of each category, or of all that begin with it; those of the detection task under its names."""
+"""Class of each category, or of all categories with that prefix; those of the detection task under its names."""
 _THINGS: Final = ("barrier", "traffic_cone", "object")
-"""Classes that are no road users: boxes of road users in front of them are judged."""
+"""Classes that are not road users: boxes of road users in front of them are judged."""
 _SPACE: Final = re.compile(r"\s*")
 _SEPARATOR: Final = re.compile(r"\s*(?:,|(?=\]))\s*")
 

@@ -82,7 +82,7 @@ class Layout:
         groups: Groups of cells whose drives are screened together.
         populations: The values that the columns of each population's drives are limited to.
         conditions: Names of the conditions, in their order.
-        audits: Whether drives that are taken to hold are audited.
+        audits: Whether drives that are assumed to hold are audited.
     """
 
     def __init__(self, space: SearchSpace, config: ToleranceConfig) -> None:

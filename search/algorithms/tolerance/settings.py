@@ -55,7 +55,7 @@ class ToleranceConfig(LedgerConfig):
     )
     audit: float = setting(
         0.25,
-        help="Share of the simulations of covered errors in drives that are taken to hold. With 0, this is not "
+        help="Share of the simulations of covered errors in drives that are assumed to hold. With 0, this is not "
         "checked, and the intervals rely on it.",
         ge=0,
         le=0.5,

@@ -18,7 +18,7 @@ class Purpose(IntEnum):
     ERROR = 2
     """Of a cell."""
     AUDIT = 3
-    """Of a cell, in a drive that is taken to hold."""
+    """Of a cell, in a drive that is assumed to hold."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

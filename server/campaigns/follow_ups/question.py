@@ -113,7 +113,7 @@ class Question(ABC):
 
     @abstractmethod
     def offer(self, asked: AskedPairs, reducible: Reducible, finished: Sequence[StoredFollowUp]) -> Offer:
-        """Return what it takes to ask about pairs.
+        """Return the cost of the follow-up for some pairs.
 
         Args:
             asked: The pairs.

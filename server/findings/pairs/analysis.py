@@ -165,7 +165,7 @@ def _chance(pairs: CampaignPairs, again: int, changed: int, *, refuted: int) -> 
     if alike:
         told.append(
             f"In {_cases(alike)}, two near solutions with opposite verdicts differ in no parameter that was "
-            "active in either drive: chance decides there, so they are no pair"
+            "active in either drive: chance decides there, so they are not a pair"
         )
     if again:
         what = "1 side of a pair was" if again == 1 else f"{again:,} sides of pairs were"

@@ -353,7 +353,7 @@ class PairsView(View):
         int,
         Field(
             description="How often two near solutions with opposite verdicts differ in no parameter that was "
-            "active in either drive: chance decides there, so they are no pair."
+            "active in either drive: chance decides there, so they are not a pair."
         ),
     ] = 0
     tight: Annotated[int, Field(description="Pairs, distinct or not.")]

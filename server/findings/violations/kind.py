@@ -34,7 +34,7 @@ LEGEND: Final = [
     "afterwards",
     "Again: the same drives with other seeds that had the type too",
     "Violations with the same circumstances are of one type; who is at fault by the rule follows from who moved how, "
-    "and is no legal judgement",
+    "and is not a legal judgement",
 ]
 _AT_FAULT: Final = {True: "ego", False: "others", None: "differs"}
 

@@ -112,7 +112,7 @@ def _environment(wanted: GymnasiumEpisode) -> Iterator[Any]:
     """Make the environment of an episode, and close it afterwards.
 
     Raises:
-        InvalidEpisode: It is unknown, its arguments are wrong, or its observations are no numbers.
+        InvalidEpisode: It is unknown, its arguments are wrong, or its observations are not numbers.
     """
     environment = make_environment(wanted.environment, wanted.make, max_episode_steps=wanted.steps)
     try:
@@ -149,7 +149,7 @@ def observed_dimensions(environment: Any) -> int:
     """Return the number of values in an environment's observation.
 
     Raises:
-        InvalidEpisode: Its observations are no arrays of numbers, or they are too large.
+        InvalidEpisode: Its observations are not arrays of numbers, or they are too large.
     """
     import gymnasium
 

@@ -38,7 +38,7 @@ _MARGIN_TICKS: Final = 3
 """Two cars are in conflict if they need the same place within this many ticks."""
 _CIRCLES_M: Final = np.array([-1.7, 0.0, 1.7])
 _CIRCLE_RADIUS_M: Final = 1.4
-"""A car is taken to be three circles in a row, somewhat larger than it is."""
+"""A car is modelled as three circles in a row, somewhat larger than it is."""
 Ways: TypeAlias = "np.ndarray[Any, np.dtype[np.float64]]"
 """Centres of a car's circles at each tick, shape ``(n, 3, 2)``."""
 

@@ -27,7 +27,7 @@ SETTLES_S: Final = 10.0
 STANDS_S: Final = 2.0
 """How long a lead that has braked stands still."""
 LONGEST_WAIT_S: Final = 3600.0
-"""How late the ego of a demand of one's own may depart."""
+"""How late the ego of the user's own demand may depart."""
 _ROADS: Final = Path(__file__).parent / "roads"
 _LIMITS_BRAKING: Final = 4
 """The check of SUMO's speed mode that keeps vehicles from braking as hard as the incident says."""

@@ -15,7 +15,7 @@ from brink.sim.perception_errors import MODE, Magnitude
 
 SIMULATOR_ID: Final = "sumo@1"
 OWN_FILES: Final = "own files"
-"""What `Traffic.network` is with a network of one's own."""
+"""Value of `Traffic.network` for the user's own network."""
 MAX_DURATION_S: Final = 600.0
 LATEST_SIGNALS_S: Final = 90.0
 """Length of the cycle of the traffic lights in all networks that have any."""
@@ -234,7 +234,7 @@ class Traffic:
 
     Attributes:
         network: A `Network`, or `OWN_FILES`.
-        files: Network and demand of one's own; None with a network that ships with Brink.
+        files: The user's own network and demand; None with a network that ships with Brink.
         demand: How full the roads are: a share of what they can carry or, with `files`, of their demand.
         trucks: Share of trucks among the vehicles; no part with `files`.
         automated: Share of automated vehicles among the cars (with `files`: among all); with the ego, the fleet.

@@ -65,7 +65,7 @@ class Component(Question):
         )
 
     def offer(self, asked: AskedPairs, reducible: Reducible, finished: Sequence[StoredFollowUp]) -> Offer:
-        """Return what it takes to ask about pairs."""
+        """Return the cost of the follow-up for some pairs."""
         unsafe = {pair.unsafe.number for pair in asked.pairs}
         reason = refusal(lambda: with_truth(asked.plan.problem))
         if not reason and unsafe <= {number for one in finished for number in one.numbers}:

@@ -87,7 +87,7 @@ class Confirm(Question):
         )
 
     def offer(self, asked: AskedPairs, reducible: Reducible, finished: Sequence[StoredFollowUp]) -> Offer:
-        """Return what it takes to ask about pairs."""
+        """Return the cost of the follow-up for some pairs."""
         reason = refusal(lambda: check_repeatable(asked.plan))
         return Offer(simulations=len(sides_of(asked.pairs)), reason=reason)
 

@@ -85,7 +85,7 @@ class Minimisation(Question):
         return PlannedFollowUp(asks=asks, campaign=prepare_campaign(body))
 
     def offer(self, asked: AskedPairs, reducible: Reducible, finished: Sequence[StoredFollowUp]) -> Offer:
-        """Return what it takes to ask about pairs."""
+        """Return the cost of the follow-up for some pairs."""
         same_seed = sum(has_one_seed(asked.plan, pair) for pair in asked.pairs)
         open_pairs = {(pair.safe.number, pair.unsafe.number) for pair in asked.pairs} & set(reducible.pairs)
         reason = ""
