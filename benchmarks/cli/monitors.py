@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from benchmarks.cli.output import Processes, any_missed, conclude, rows_table, show_progress, value_table
-from brink.cli.options import RESULTS, AsJson, check_picture, fields, save_picture
+from brink.cli.options import RESULTS, AsJson, check_picture, fields
 from brink.search.analysis.monitor import Answer
 from brink.server.errors import InvalidInput
 
@@ -45,7 +45,7 @@ def monitor_accuracy(
     if picture is not None:
         from brink.plots.evidence import figure_monitor
 
-        save_picture(figure_monitor(evaluation), picture)
+        figure_monitor(evaluation).savefig(picture)
     rows = mean_rows(found)
     each = value_table(
         (
@@ -135,7 +135,7 @@ def guard(
     if picture is not None:
         from brink.plots.guard import figure_guard
 
-        save_picture(figure_guard(measured.judged[0].evaluation), picture)
+        figure_guard(measured.judged[0].evaluation).savefig(picture)
     rows = list(measured.rows())
     each = value_table(_GUARD_COLUMNS, map(_guard_row, measured.judged))
     unseen = value_table(_GUARD_COLUMNS, map(_guard_row, measured.unseen))

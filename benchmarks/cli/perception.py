@@ -17,7 +17,7 @@ from benchmarks.cli.output import (
     show_progress,
     value_table,
 )
-from brink.cli.options import RESULTS, AsJson, check_picture, save_picture
+from brink.cli.options import RESULTS, AsJson, check_picture
 from brink.server.errors import InvalidInput
 from brink.sim.perception.user_files import DEFAULT_DETECTOR
 
@@ -72,7 +72,7 @@ def detector(
     if picture is not None:
         from benchmarks.detector_figure import figure_detector
 
-        save_picture(figure_detector(found), picture)
+        figure_detector(found).savefig(picture)
     shown = _detector_tables(found)
     conclude(found.to_json(), *shown, as_json=as_json, missed=any_missed(found.rows))
 

@@ -1,7 +1,7 @@
 """The one place that writes to the terminal. Control characters in untrusted text are shown, not executed."""
 
 import sys
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -45,15 +45,23 @@ def echo(text: object, *, nl: bool = True, err: bool = False) -> None:
     stream.flush()
 
 
-def plain_table(*columns: str, right: Collection[str] = (), title: str | None = None) -> Table:
-    """Return an empty table without borders.
+def plain_table(
+    *columns: str,
+    rows: Iterable[Sequence[str | Text]] = (),
+    right: Collection[str] = (),
+    title: str | None = None,
+) -> Table:
+    """Return a table without borders.
 
     Args:
         columns: Column headers.
+        rows: Its first rows.
         right: Columns aligned to the right.
         title: Title above the table.
     """
     table = Table(title=title, title_justify="left", box=None, pad_edge=False, header_style="dim")
     for name in columns:
         table.add_column(name, justify="right" if name in right else "left")
+    for row in rows:
+        table.add_row(*row)
     return table

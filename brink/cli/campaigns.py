@@ -29,6 +29,7 @@ from brink.cli.options import (
     Server,
     about_file,
     check_ids,
+    check_out,
     console,
     delete_confirmed,
     place_option,
@@ -335,9 +336,8 @@ def results(
 
     Example: brink results 3f2a --t-b 0.1 --d-th 0.2 --out boundary.csv
     """
-    if out is not None and out.suffix not in (".csv", ".jsonl", ".parquet", ".json"):
-        message = f"{out}: expected a file name that ends in .csv, .jsonl, .parquet or .json"
-        raise InvalidInput.at("--out", message)
+    if out is not None:
+        check_out(out, ".csv", ".jsonl", ".parquet", ".json")
 
     async def work(api: Api) -> None:
         path, params = f"/campaigns/{campaign}/boundary", {"t_b": t_b, "d_th": d_th}

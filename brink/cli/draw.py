@@ -25,6 +25,7 @@ from brink.cli.options import (
     DistanceThreshold,
     FitnessThreshold,
     Server,
+    check_out,
     console,
     print_json,
     with_api,
@@ -34,7 +35,6 @@ from brink.pictures import render
 from brink.report.figures import draw_figures
 from brink.search.errors import TooManyPairs
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.errors import InvalidInput
 from brink.server.findings.boundary.views import Boundary
 
 
@@ -101,10 +101,7 @@ def replay(
 
     Example: brink replay 3f2a 17 --out replay.mp4
     """
-    if out.suffix not in (".png", ".gif", ".mp4"):
-        raise InvalidInput.at("--out", f"{out}: expected a file name that ends in .png, .gif or .mp4")
-    if not out.parent.is_dir():
-        raise InvalidInput.at("--out", f"{out.parent}: no such folder")
+    check_out(out, ".png", ".gif", ".mp4")
 
     async def work(api: Api) -> None:
         requirement = await fetch_requirements(api, campaign)

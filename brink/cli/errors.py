@@ -10,7 +10,17 @@ import typer
 from brink.api.client import Api
 from brink.api.results import fetch_archive
 from brink.api.terminal import echo
-from brink.cli.options import AsJson, Database, Server, check_ids, console, plain_table, print_json, with_api
+from brink.cli.options import (
+    AsJson,
+    Database,
+    Server,
+    check_ids,
+    check_out,
+    console,
+    plain_table,
+    print_json,
+    with_api,
+)
 from brink.cli.recording_options import (
     LEAST_SHARE,
     MOST_OCCLUSION,
@@ -96,6 +106,8 @@ def fit(
     file = campaign or out.with_name("campaign.yaml")
     if file == out:
         raise InvalidInput.at("--out", f"expected another file than that of the campaign, {file}")
+    check_out(out)
+    check_out(file, option="--campaign")
     given = GivenRecording(
         detections=detections,
         truth=truth,
@@ -115,11 +127,8 @@ def fit(
     for line in given.words(recording):
         echo(line)
     fitted = fit_errors([drive.meter for drive in observed], recording.name, without=without or ())
-    table = plain_table(*COLUMNS, right=COLUMNS[2:])
-    for row in error_rows(fitted):
-        table.add_row(*row)
     screen = console()
-    screen.print(table)
+    screen.print(plain_table(*COLUMNS, right=COLUMNS[2:], rows=error_rows(fitted)))
     for line in error_sentences(fitted):
         screen.print(line, soft_wrap=True)
     out.write_text(errors_yaml(fitted), encoding="utf-8")

@@ -1,6 +1,5 @@
 """`brink guard fit | judge | drive`: runtime monitors of what a car can observe, fitted to drives of campaigns."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +16,11 @@ from brink.cli.options import (
     Database,
     Server,
     check_ids,
+    check_out,
     check_picture,
     console,
     plain_table,
     print_json,
-    save_picture,
 )
 from brink.guard.drives import (
     DEFAULT_PROBLEM,
@@ -38,7 +37,7 @@ from brink.guard.drives import (
 from brink.guard.evaluation import FALSE_ALARMS, LEAD_S, LEADS_S, GuardEvaluation, PredictorResult, evaluate
 from brink.guard.fitting import fit as fit_guard
 from brink.guard.model import GuardModel, Sensor
-from brink.guard.seen import SeenDrives
+from brink.guard.seen import check_unseen
 from brink.server.campaigns.body import PluginChoice
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import SimulatedProblem
@@ -115,7 +114,7 @@ def fit(
 
     Example: brink guard fit 3f2a 91bc --random 500 --out guard.json
     """
-    _check_out(out)
+    check_out(out, make_folder=True)
     source = _source(campaigns, random, seed, database, server, requirement=requirement)
     with Steps(console(stderr=True), "re-running drives") as steps:
         drives = source.recorded(processes, steps)
@@ -193,7 +192,7 @@ def judge(
     if picture is not None:
         from brink.plots.guard import figure_guard  # matplotlib takes half a second to load
 
-        save_picture(figure_guard(evaluation), picture)
+        figure_guard(evaluation).savefig(picture)
     if as_json:
         print_json(evaluation.to_json())
         return
@@ -263,25 +262,9 @@ class _Source:
                 )
                 if one.fetched is not None:
                     problem = check_problem(one.fetched.plan.problem)
-                    check_verdicts(drives, _requirements(problem), one.fetched.archive, one.whose)
+                    check_verdicts(drives, problem.requirements, one.fetched.archive, one.whose)
                 found |= {drive.digest: drive for drive in drives}
         return list(found.values())
-
-
-def _check_out(out: Path) -> None:
-    """Check that a file can be written before anything slow begins, and create its folder.
-
-    Raises:
-        InvalidInput: It cannot.
-    """
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InvalidInput.at("--out", f"{out.parent}: {error.strerror}") from None
-    if out.is_dir():
-        raise InvalidInput.at("--out", f"expected a file, {out} is a folder")
-    if not os.access(out.parent, os.W_OK):
-        raise InvalidInput.at("--out", f"{out.parent} is not writable")
 
 
 def _specs(problem: SimulatedProblem, fetched: FetchedArchive) -> list[EpisodeSpec]:
@@ -325,7 +308,7 @@ def _source(
     else:
         choice = with_requirements(default, requirement or ())
         problem = check_problem(make_problem(choice.id, choice.params))
-    names = tuple(requirement) if requirement else _requirements(problem)
+    names = tuple(requirement) if requirement else problem.requirements
     check_requirements(problem, names)
     parts = [
         _Part(whose=f"campaign {one.id}", specs=_specs(check_problem(one.plan.problem), one), fetched=one)
@@ -334,10 +317,6 @@ def _source(
     if random:
         parts.append(_Part(whose=f"random seed {seed}", specs=random_specs(problem, random, seed)))
     return _Source(choice=choice, requirements=names, parts=parts, random=random, seed=seed)
-
-
-def _requirements(problem: SimulatedProblem) -> tuple[str, ...]:
-    return problem.requirements
 
 
 def _check_fresh(file: Path, model: GuardModel, source: _Source) -> None:
@@ -351,18 +330,9 @@ def _check_fresh(file: Path, model: GuardModel, source: _Source) -> None:
         raise Conflict(
             f"{fitted_words(file, own)}: evaluate it on other drives, ideally fresh ones (--drives 2000)"
         )
-    drawn = model.about.get("random")
-    if source.random and isinstance(drawn, dict) and drawn.get("seed") == source.seed:
-        raise Conflict(f"{file} was fitted to random drives of seed {source.seed}: choose another --seed")
-    seen = SeenDrives.by(model.about)
-    if seen is None:
-        return
-    for part in source.parts:
-        if repeated := seen.repeats(part.specs):
-            raise Conflict(
-                f"{file} was fitted to {repeated:,} of the {len(part.specs):,} solutions of {part.whose}: "
-                "evaluate it on other drives, ideally fresh ones (--drives 2000)"
-            )
+    seeds = [source.seed] if source.random else []
+    drives = [(one.whose, one.specs) for one in source.parts]
+    check_unseen(model.about, drives, name=str(file), seeds=seeds, option="--seed")
 
 
 def _print(evaluation: GuardEvaluation) -> None:
@@ -379,12 +349,9 @@ def _print(evaluation: GuardEvaluation) -> None:
         f"drive is judged with a threshold that other drives choose; {INTERVALS}):",
         soft_wrap=True,
     )
-    table = plain_table(
-        "predictor", "false alarms", *leads, f"interval at {LEAD_S:g} s", right=("false alarms", *leads)
-    )
-    for one in evaluation.predictors:
-        table.add_row(*_row(one))
-    screen.print(table)
+    right = ("false alarms", *leads)
+    columns = ("predictor", *right, f"interval at {LEAD_S:g} s")
+    screen.print(plain_table(*columns, right=right, rows=map(_row, evaluation.predictors)))
     own = evaluation.own
     lead = "none" if own.median_lead_s is None else f"{own.median_lead_s:.1f} s"
     screen.print(
@@ -394,17 +361,12 @@ def _print(evaluation: GuardEvaluation) -> None:
         f"{own.false_per_hour:.1f} an hour; median lead {lead}",
         soft_wrap=True,
     )
-    table = plain_table(
-        "horizon", "AUROC", "Brier", "calibration error", right=("AUROC", "Brier", "calibration error")
-    )
-    for horizon in evaluation.horizons:
-        table.add_row(
-            f"{horizon.horizon_s:g} s",
-            f"{horizon.auroc:.3f}",
-            f"{horizon.brier:.4f}",
-            f"{horizon.calibration_error:.4f}",
-        )
-    screen.print("", table)
+    figures = ("AUROC", "Brier", "calibration error")
+    rows = [
+        (f"{one.horizon_s:g} s", f"{one.auroc:.3f}", f"{one.brier:.4f}", f"{one.calibration_error:.4f}")
+        for one in evaluation.horizons
+    ]
+    screen.print("", plain_table("horizon", *figures, right=figures, rows=rows))
 
 
 def _row(one: PredictorResult) -> list[str]:

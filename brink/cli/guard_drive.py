@@ -10,7 +10,17 @@ import numpy as np
 import typer
 
 from brink.api.live import Steps
-from brink.cli.options import AsJson, Odd, console, plain_table, print_json, read_odd, write_json
+from brink.cli.options import (
+    AsJson,
+    Odd,
+    check_out,
+    console,
+    named_values,
+    plain_table,
+    print_json,
+    read_odd,
+    write_json,
+)
 from brink.guard.drives import DEFAULT_PROBLEM, check_problem, problem_of, random_specs, with_requirements
 from brink.guard.loop import (
     FIRST_SEED,
@@ -24,18 +34,15 @@ from brink.guard.loop import (
     thresholds_around,
 )
 from brink.guard.model import GuardModel
-from brink.guard.seen import SeenDrives
+from brink.guard.seen import SeenDrives, check_unseen
 from brink.guard.sight import LEAD_S, WINDOW_S, Reported
 from brink.search.analysis.guard_drives import Estimate, GuardWorth
 from brink.search.analysis.intervals import CONFIDENCE
 from brink.search.space import BoolArray
 from brink.server.campaigns.body import PluginChoice
-from brink.server.documents import parse_yaml
-from brink.server.errors import Conflict, InvalidInput
-from brink.server.problems.base import SimulatedProblem
+from brink.server.errors import InvalidInput
 from brink.server.problems.catalogue import make_problem
 from brink.sim.catalogue import plugin_ids
-from brink.sim.episode import Json
 from brink.sim.guard.option import DEFAULT_FALLBACK, FILE, GUARDS, GuardOption
 
 MOST_PICTURES: Final = 20
@@ -133,13 +140,17 @@ def drive(
     model = _model(option)
     chosen = sorted(set(threshold)) if threshold else thresholds_around(option.own_threshold)
     used = [*range(first_seed, first_seed + seeds)]
-    choice = _choice(model, problem, _params(param or [], read_odd(odd)), requirement or [])
+    params = named_values("--param", param, "trajectories=3")
+    if odd:
+        params["odd"] = read_odd(odd)
+    choice = _choice(model, problem, params, requirement or [])
     task = check_problem(make_problem(choice.id, choice.params))
     seen = None if model is None else SeenDrives.by(model.about)
     if model is not None:
-        _check_fresh(model, seen, task, used, drives)
+        fresh = ((f"seed {one}", random_specs(task, drives, one)) for one in used)
+        check_unseen(model.about, fresh, name="the guard", seeds=used, option="--first-seed")
     if out is not None:
-        _check_out(out)
+        check_out(out / "drives.json", make_folder=True)
     with Steps(console(stderr=True), "starting") as steps:
         loop = drive_with_guard(
             task, option, chosen, drives=drives, seeds=used, processes=processes, on_progress=steps.show
@@ -167,42 +178,19 @@ def _option(guard: str, fallback: str, settings: Sequence[str]) -> GuardOption:
         InvalidInput: A setting has another form.
         InvalidEpisode: The guard or the fallback is unknown, or a setting is out of range.
     """
-    given: dict[str, Json] = {}
-    for one in settings:
-        name, equals, value = one.partition("=")
-        try:
-            given[name] = float(value)
-        except ValueError:
-            equals = ""
-        if not equals:
-            raise InvalidInput.at("--setting", f"expected NAME=VALUE with a number, got {one!r}")
     known = plugin_ids(GUARDS)
     if guard not in known and not Path(guard).exists():
         raise InvalidInput.at(
             "GUARD", f"expected a guard file or one of {', '.join(known)}; there is no {guard!r}"
         )
     name = guard if guard in known else f"{FILE}{Path(guard).absolute()}"
-    return GuardOption.of(name, fallback=fallback, settings=given)
+    values = named_values("--setting", settings, "decel_mps2=3", float)
+    return GuardOption.of(name, fallback=fallback, settings=values)
 
 
 def _model(option: GuardOption) -> GuardModel | None:
     """Return the fitted model of a guard; None if it is a registered one."""
     return GuardModel.load(option.guard.removeprefix(FILE)) if option.guard.startswith(FILE) else None
-
-
-def _params(given: Sequence[str], odd: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parameters of the problem that the command line names.
-
-    Raises:
-        InvalidInput: One is not a name and a value.
-    """
-    found: dict[str, Any] = {}
-    for one in given:
-        name, equals, value = one.partition("=")
-        if not equals or not name.strip() or not value.strip():
-            raise InvalidInput.at("--param", f"expected NAME=VALUE, such as trajectories=3; got {one!r}")
-        found[name.strip()] = parse_yaml(value)
-    return {**found, "odd": odd} if odd else found
 
 
 def _choice(
@@ -225,41 +213,6 @@ def _choice(
     if not requirements and model is not None:
         requirements = model.requirements
     return with_requirements(merged, requirements)
-
-
-def _check_fresh(
-    model: GuardModel, seen: SeenDrives | None, task: SimulatedProblem, seeds: Sequence[int], drives: int
-) -> None:
-    """Check that a guard was not fitted to the drives of these seeds.
-
-    Raises:
-        Conflict: It was.
-    """
-    drawn = model.about.get("random")
-    if isinstance(drawn, Mapping) and drawn.get("seed") in seeds:
-        raise Conflict(
-            f"the guard was fitted to random drives of seed {drawn['seed']}: choose another --first-seed"
-        )
-    if seen is None:
-        return
-    for seed in seeds:
-        if repeated := seen.repeats(random_specs(task, drives, seed)):
-            raise Conflict(
-                f"the guard was fitted to {repeated:,} of the {drives:,} solutions of seed {seed}: choose another "
-                "--first-seed"
-            )
-
-
-def _check_out(out: Path) -> None:
-    """Check that a folder can be written before anything slow begins, and create it.
-
-    Raises:
-        InvalidInput: It cannot.
-    """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InvalidInput.at("--out", f"expected a folder, {out}: {error.strerror}") from None
 
 
 def _remove_pictures(out: Path) -> None:
@@ -358,16 +311,14 @@ def _print(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolArray
         "an hour",
         "drives",
     )
-    table = plain_table("threshold", *names, right=("threshold", *names))
     screen.print(
         "violations prevented, those of them without a violation of any other requirement, violations caused, and "
         "safe drives with one of another requirement; mean distance lost, and that of drives that are safe without; "
         "false alarms an hour, and safe drives with one:",
         soft_wrap=True,
     )
-    for condition in loop.conditions:
-        table.add_row(f"{condition.threshold:.3f}", *_row(loop.worth(condition)))
-    screen.print(table)
+    rows = [(f"{one.threshold:.3f}", *_row(loop.worth(one))) for one in loop.conditions]
+    screen.print(plain_table("threshold", *names, right=("threshold", *names), rows=rows))
     best, counts = loop.shown()
     _print_recommendation(loop, loop.recommended())
     _print_parts(loop, best, {name: mask & counts for name, mask in parts.items()})
@@ -413,12 +364,9 @@ def _print_parts(loop: GuardedLoop, best: Condition, parts: Mapping[str, BoolArr
     if not parts:
         return
     names = ("drives", "violations", "fall by", "distance lost", "false alarms an hour")
-    table = plain_table(f"at threshold {best.threshold:.3f}", *names, right=names)
-    for name, mask in parts.items():
-        if not mask.any():
-            continue
-        worth = loop.worth(best, mask)
-        table.add_row(
+    worths = {name: loop.worth(best, mask) for name, mask in parts.items() if mask.any()}
+    rows = [
+        (
             name,
             f"{worth.drives:,}",
             f"{worth.violations_without:,}",
@@ -426,25 +374,31 @@ def _print_parts(loop: GuardedLoop, best: Condition, parts: Mapping[str, BoolArr
             _percent(worth.distance_lost, 1),
             _number(worth.false_alarms_per_h),
         )
-    console().print("", table)
+        for name, worth in worths.items()
+    ]
+    console().print("", plain_table(f"at threshold {best.threshold:.3f}", *names, right=names, rows=rows))
 
 
 def _print_requirements(loop: GuardedLoop, best: Condition) -> None:
     """Print how many drives violate each requirement, also those that do not count."""
     names = ("without the guard", f"at threshold {best.threshold:.3f}")
-    table = plain_table(f"of all {len(loop.specs):,} drives, violate", *names, right=names)
-    for name, row in _by_requirement(loop, best).items():
-        table.add_row(name, f"{row['without']:,}", f"{row['with']:,}")
-    console().print("", table)
+    rows = [
+        (name, f"{row['without']:,}", f"{row['with']:,}") for name, row in _by_requirement(loop, best).items()
+    ]
+    console().print(
+        "", plain_table(f"of all {len(loop.specs):,} drives, violate", *names, right=names, rows=rows)
+    )
 
 
 def _print_sights(loop: GuardedLoop, best: Condition, counts: BoolArray) -> None:
     names = ("violations", "never reported", "within range", "prevented")
-    table = plain_table(f"reported in the {WINDOW_S:g} s before", *names, right=names)
-    for row in _sights(loop, best, counts):
-        if row["violations"]:
-            cells = (row["violations"], row["never_reported"], row["in_range"], row["prevented"])
-            table.add_row(_WORDS[Reported(row["reported"])], *(f"{number:,}" for number in cells))
+    keys = ("violations", "never_reported", "in_range", "prevented")
+    rows = [
+        (_WORDS[Reported(row["reported"])], *(f"{row[key]:,}" for key in keys))
+        for row in _sights(loop, best, counts)
+        if row["violations"]
+    ]
+    table = plain_table(f"reported in the {WINDOW_S:g} s before", *names, right=names, rows=rows)
     screen = console()
     screen.print("", table)
     screen.print(

@@ -17,11 +17,11 @@ from brink.cli.options import (
     Database,
     Server,
     check_ids,
+    check_out,
     check_picture,
     console,
     plain_table,
     print_json,
-    save_picture,
 )
 from brink.search.analysis.boosted_trees import LEAST_OF_A_VERDICT
 from brink.search.analysis.monitor import LARGEST_BYTES, Answer, Model, Monitor, default_model
@@ -88,6 +88,7 @@ def fit(
 
     Example: brink monitor fit 3f2a --out monitor.json
     """
+    check_out(out, make_folder=True)
     fetched = fetch_archives(campaigns, server=server, database=database)
     vectors, unsafe = _evaluated(fetched)
     if len(vectors) < 2:
@@ -112,7 +113,6 @@ def fit(
         "problem": fetched[0].body.problem.model_dump(mode="json"),
         "brink": __version__,
     }
-    out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(fitted.to_json(about) + "\n", encoding="utf-8")
     if as_json:
         print_json(
@@ -159,18 +159,17 @@ def score(
     risks = []
     for place, values in enumerate(given):
         if not isinstance(values, dict):
-            raise _wrong(place, f"expected parameters by component, got {values!r}"[:200])
+            raise InvalidInput.at(f"/{place}", f"expected parameters by component, got {values!r}"[:200])
         try:
             risks.append(fitted.ask(values.get("parameters", values)))
         except (SpaceError, AttributeError) as error:
-            raise _wrong(place, str(error)) from None
+            raise InvalidInput.at(f"/{place}", str(error)) from None
     if as_json:
         print_json([asdict(risk) for risk in risks])
         return
     columns = ("", "unsafe", "interval", "neighbours", "nearest")
-    table = plain_table(*columns, "answer", right=columns)
-    for place, risk in enumerate(risks):
-        table.add_row(
+    rows = [
+        (
             str(place),
             f"{risk.probability:.2f}",
             f"{risk.low:.2f} to {risk.high:.2f}",
@@ -178,8 +177,10 @@ def score(
             f"{risk.nearest:.3f}",
             str(risk.answer),
         )
+        for place, risk in enumerate(risks)
+    ]
     screen = console()
-    screen.print(table)
+    screen.print(plain_table(*columns, "answer", right=columns, rows=rows))
     for place, risk in enumerate(risks):
         if risk.unlike:
             screen.print(
@@ -228,7 +229,7 @@ def judge(
         # matplotlib takes half a second to load: only commands that draw wait for it.
         from brink.plots.evidence import figure_monitor
 
-        save_picture(figure_monitor(evaluation), picture)
+        figure_monitor(evaluation).savefig(picture)
     if as_json:
         print_json(evaluation.to_json())
         return
@@ -293,10 +294,6 @@ def _pairs(file: Path, space: SearchSpace) -> tuple[FloatArray, FloatArray]:
     return np.array(sides["safe"]), np.array(sides["unsafe"])
 
 
-def _wrong(place: int, message: str) -> InvalidInput:
-    return InvalidInput.at(f"/{place}", message)
-
-
 def _evaluated(fetched: Sequence[FetchedArchive]) -> tuple[Any, Any]:
     archives: list[Archive] = [one.archive for one in fetched]
     return (
@@ -314,29 +311,29 @@ def _print(evaluation: MonitorEvaluation) -> None:
         "calibration error",
         *(f"false alarms at {missed:.0%} missed" for missed in MISSED),
     )
-    table = plain_table("", *columns, right=columns)
-    for one in evaluation.predictors:
-        costs = [f"{fewest_false_alarms(one.operating_points, missed).false:.0%}" for missed in MISSED]
-        table.add_row(
+    rows = [
+        (
             one.name,
             f"{one.metrics.auroc:.3f}",
             f"{one.metrics.brier:.3f}",
             f"{one.metrics.calibration_error:.3f}",
-            *costs,
+            *(f"{fewest_false_alarms(one.operating_points, missed).false:.0%}" for missed in MISSED),
         )
-    screen.print(table, "")
-    bins = evaluation.predictors[0].metrics.bins
+        for one in evaluation.predictors
+    ]
+    screen.print(plain_table("", *columns, right=columns, rows=rows), "")
     columns = ("solutions", "predicted", "interval", "unsafe share", "within")
-    table = plain_table(*columns, right=columns, title="calibration of the monitor")
-    for bin_ in bins:
-        table.add_row(
+    rows = [
+        (
             f"{bin_.solutions:,}",
             f"{bin_.predicted:.2f}",
             f"{bin_.low:.2f} to {bin_.high:.2f}",
             f"{bin_.observed:.2f}",
             "yes" if bin_.within else "no",
         )
-    screen.print(table, "")
+        for bin_ in evaluation.predictors[0].metrics.bins
+    ]
+    screen.print(plain_table(*columns, right=columns, title="calibration of the monitor", rows=rows), "")
     for verdicts in evaluation.answers:
         share = f", {verdicts.unsafe / verdicts.solutions:.0%} of them unsafe" if verdicts.solutions else ""
         unknown = verdicts.answer is Answer.UNKNOWN

@@ -24,7 +24,6 @@ from brink.server.errors import SHORTEST_ID, FieldError, InvalidInput
 from brink.worker.log import LogFormat, LogLevel
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from pydantic import ValidationError
 
     from brink.server.settings import Settings
@@ -192,21 +191,42 @@ def _setting_errors(error: "ValidationError", given: dict[str, Any]) -> list[Fie
     return errors
 
 
+def named_values(
+    option: str, given: Sequence[str] | None, example: str, read: Callable[[str], Any] = parse_yaml
+) -> dict[str, Any]:
+    """Return the values that an option NAME=VALUE gives, by name.
+
+    Args:
+        option: The option, for messages.
+        given: What the user said, each time that the option was given.
+        example: What it might have been.
+        read: Reads a value; by default as YAML.
+
+    Raises:
+        InvalidInput: One is not a name and a value, or a name is given twice.
+    """
+    values: dict[str, Any] = {}
+    for one in given or ():
+        name, _, value = map(str.strip, one.partition("="))
+        unexpected = InvalidInput.at(option, f"expected NAME=VALUE, such as {example}; got {one!r}")
+        if not (name and value):
+            raise unexpected
+        if name in values:
+            raise InvalidInput.at(option, f"{name} is given twice: expected one value")
+        try:
+            values[name] = read(value)
+        except ValueError:
+            raise unexpected from None
+    return values
+
+
 def read_odd(given: Sequence[str] | None) -> dict[str, Any]:
     """Return the limits that the option ``--odd`` gives, by parameter.
 
     Raises:
         InvalidInput: One is not a name and a limit, or a name is given twice.
     """
-    odd: dict[str, Any] = {}
-    for one in given or ():
-        name, equals, limit = one.partition("=")
-        if not equals or not name.strip() or not limit.strip():
-            raise InvalidInput.at("--odd", f"expected NAME=LIMIT, such as scenario.speed=5; got {one!r}")
-        if name.strip() in odd:
-            raise InvalidInput.at("--odd", f"{name.strip()} is limited twice: expected one limit")
-        odd[name.strip()] = parse_yaml(limit)
-    return odd
+    return named_values("--odd", given, "scenario.speed=5")
 
 
 def program() -> str:
@@ -395,20 +415,42 @@ def print_sentence(screen: Console, text: str | Text, style: str | None = None) 
     screen.print(text, soft_wrap=not screen.is_terminal, style=style)
 
 
-def check_picture(file: Path | None) -> None:
-    """Check the file name of a picture, before any slow work starts.
+def check_out(file: Path, *endings: str, option: str = "--out", make_folder: bool = False) -> None:
+    """Check that a file can be written, before anything slow begins.
+
+    Args:
+        file: The file.
+        endings: Endings of its name, of which it must have one; without any, all are allowed.
+        option: The option that names the file, for messages.
+        make_folder: Whether to make the folder if there is none.
 
     Raises:
-        InvalidInput: The name ends in something other than .png, .svg or .pdf.
+        InvalidInput: The name ends in something else, or the file cannot be written.
     """
-    if file is not None and file.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise InvalidInput.at("--picture", f"{file}: expected a file name that ends in .png, .svg or .pdf")
+    if endings and file.suffix.lower() not in endings:
+        names = " or ".join(filter(None, [", ".join(endings[:-1]), endings[-1]]))
+        raise InvalidInput.at(option, f"{file}: expected a file name that ends in {names}")
+    if make_folder:
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InvalidInput.at(option, f"{file.parent}: {error.strerror}") from None
+    if not file.parent.is_dir():
+        raise InvalidInput.at(option, f"{file.parent}: no such folder")
+    if file.is_dir():
+        raise InvalidInput.at(option, f"expected a file, {file} is a folder")
+    if not os.access(file.parent, os.W_OK):
+        raise InvalidInput.at(option, f"{file.parent} is not writable")
 
 
-def save_picture(figure: "Figure", file: Path) -> None:
-    """Write a figure to a file, in the format of its extension, creating the folder if needed."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file)
+def check_picture(file: Path | None) -> None:
+    """Check that a picture can be written, before anything slow begins; its folder is made if there is none.
+
+    Raises:
+        InvalidInput: It cannot, or its name ends in something other than .png, .svg or .pdf.
+    """
+    if file is not None:
+        check_out(file, ".png", ".svg", ".pdf", option="--picture", make_folder=True)
 
 
 def file_name(name: str) -> str:

@@ -14,18 +14,6 @@ from brink.server.findings.pairs.views import PairsView, PairView
 PICTURES: Final = (".png",)
 
 
-def check_file(option: str, path: Path, endings: tuple[str, ...]) -> None:
-    """Check that a picture or film can be written before anything is simulated.
-
-    Raises:
-        InvalidInput: The file has another ending, or its folder does not exist.
-    """
-    if path.suffix not in endings:
-        raise InvalidInput.at(option, f"{path}: expected a file name that ends in {' or '.join(endings)}")
-    if not path.parent.is_dir():
-        raise InvalidInput.at(option, f"{path.parent}: no such folder")
-
-
 def chosen_pair(view: PairsView, number: int, option: str) -> PairView:
     """Return a pair by its number.
 

@@ -21,12 +21,13 @@ from brink.cli.options import (
     Server,
     WithGroundTruth,
     Workers,
+    check_out,
     console,
     print_json,
     settings_with,
     with_api,
 )
-from brink.cli.pair_pictures import PICTURES, check_file, chosen_pair, draw_pair
+from brink.cli.pair_pictures import PICTURES, chosen_pair, draw_pair
 from brink.cli.pair_tables import print_pairs
 from brink.cli.results_folder import update_pairs
 from brink.report.pair_pictures import FILMS
@@ -139,7 +140,7 @@ def pairs(
         if chosen is not None
     ]
     for option, _, path, endings in drawn:
-        check_file(option, path, endings)
+        check_out(path, *endings, option=option)
 
     given = {name: value for name, value in settings.items() if value is not None}
     asked = follow_up_requests(given, confirm, component=component, minimise=minimise, limit=limit)

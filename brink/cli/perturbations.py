@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from brink.api.terminal import echo
-from brink.cli.options import AsJson, console, plain_table, print_json
+from brink.cli.options import AsJson, check_out, console, plain_table, print_json
 from brink.extras import install_command
 from brink.server.errors import FieldError, InvalidInput, nearest
 from brink.sim.perturbations.catalogue import CATALOGUE, Gene, VisionMissing
@@ -16,7 +16,6 @@ perturbations = typer.Typer(
     help="List image perturbations, and show their effect on an image.", no_args_is_help=True
 )
 
-SUFFIXES = (".png", ".jpg", ".jpeg")
 MANY_GENES = 6
 """This many genes are shown two to a row, so that the sheet fits on a page."""
 
@@ -30,11 +29,10 @@ def list_genes(as_json: AsJson = False) -> None:
     if as_json:
         print_json([_as_json(gene) for gene in CATALOGUE.values()])
         return
-    table = plain_table("gene", "levels", "values", "unit", "effect", right=("levels",))
+    rows = [(one.name, str(one.levels), _values(one), one.unit, one.effect) for one in CATALOGUE.values()]
+    table = plain_table("gene", "levels", "values", "unit", "effect", right=("levels",), rows=rows)
     for column in table.columns:
         column.overflow = "fold"
-    for gene in CATALOGUE.values():
-        table.add_row(gene.name, str(gene.levels), _values(gene), gene.unit, gene.effect)
     screen = console()
     screen.print(table)
     levels = sum(gene.levels for gene in CATALOGUE.values())
@@ -76,10 +74,7 @@ def show(
     Example: brink perturbations show --image street.jpg --out sheet.png --gene rain --gene smoke
     """
     genes = _genes(gene)
-    if out.suffix.lower() not in SUFFIXES:
-        raise InvalidInput.at("--out", f"{out}: expected a file name that ends in .png or .jpg")
-    if not out.parent.is_dir():
-        raise InvalidInput.at("--out", f"{out.parent}: no such folder")
+    check_out(out, ".png", ".jpg", ".jpeg")
     if image is not None and not image.is_file():
         raise InvalidInput.at("--image", f"{image}: {'not a file' if image.exists() else 'no such file'}")
     if find_spec("cv2") is None:

@@ -23,7 +23,7 @@ from brink.sim.testing import check_requirement
 
 _BUDGET: Final = 130
 """Simulations of the campaigns that check an algorithm: enough for a few generations of most."""
-_LOADED: Final = "loads; Brink has no further checks of this kind"
+_NO_CHECKS: Final = "Brink has no further checks of this kind"
 
 plugins = typer.Typer(help="List plug-ins, and check that they fulfil their contracts.", no_args_is_help=True)
 
@@ -42,10 +42,8 @@ def list_(as_json: AsJson = False) -> None:
     if as_json:
         print_json(found)
         return
-    table = plain_table("kind", "id", "source")
-    for one in found:
-        table.add_row(one["kind"], one["id"], (one["source"] or "Brink")[:SHOWN_DIGITS])
-    console().print(table)
+    rows = [(one["kind"] or "", one["id"] or "", (one["source"] or "Brink")[:SHOWN_DIGITS]) for one in found]
+    console().print(plain_table("kind", "id", "source", rows=rows))
 
 
 @plugins.command()
@@ -99,12 +97,8 @@ def _checked(group: str, name: str) -> dict[str, Any]:
 
 def _check_loads(group: str, name: str) -> str:
     load_plugin(group, name)
-    return _LOADED
-
-
-def _check_simulator(group: str, name: str) -> str:
-    load_plugin(group, name)
-    return "loads; it is checked with the problem that needs it"
+    checked = "it is checked with the problem that needs it" if group == SIMULATORS else _NO_CHECKS
+    return f"loads; {checked}"
 
 
 def _check_requirement(group: str, name: str) -> str:
@@ -138,5 +132,4 @@ _CHECKS: Final[Mapping[str, Callable[[str, str], str]]] = {
     REQUIREMENTS: _check_requirement,
     PROBLEMS: _check_problem,
     ALGORITHMS: _check_algorithm,
-    SIMULATORS: _check_simulator,
 }

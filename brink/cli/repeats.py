@@ -23,7 +23,6 @@ from brink.cli.options import (
     place_option,
     plain_table,
     print_json,
-    save_picture,
     settings_with,
     with_api,
     write_json,
@@ -219,7 +218,7 @@ def _draw_repeats(view: RepeatsView, file: Path) -> None:
         if one.conclusion is not None
     ]
     title = f"Does the boundary hold up? {view.name}"
-    save_picture(figure_repeats(points, p_th=view.p_th, times=_times(view), title=title), file)
+    figure_repeats(points, p_th=view.p_th, times=_times(view), title=title).savefig(file)
 
 
 def _around(one: RepeatedSolution) -> tuple[float, float, float] | None:

@@ -7,10 +7,9 @@ import typer
 
 from brink.api.client import Api
 from brink.api.live import Steps
-from brink.cli.options import CampaignId, Database, Server, check_ids, console, with_api
+from brink.cli.options import CampaignId, Database, Server, check_ids, check_out, console, with_api
 from brink.report.campaign import campaign_report, write_page
 from brink.report.kind_pictures import MOST_PAIRS
-from brink.server.errors import InvalidInput
 
 
 def report(
@@ -44,10 +43,7 @@ def report(
 
     Example: brink report 3f2a --out report.html
     """
-    if out.suffix.lower() not in (".html", ".htm"):
-        raise InvalidInput.at("--out", f"{out}: expected a file name that ends in .html")
-    if not out.absolute().parent.is_dir():
-        raise InvalidInput.at("--out", f"{out.parent}: no such folder")
+    check_out(out, ".html", ".htm")
     screen = console()
 
     async def work(api: Api) -> str:

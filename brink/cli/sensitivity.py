@@ -29,7 +29,6 @@ from brink.cli.options import (
     file_name,
     plain_table,
     print_json,
-    save_picture,
     with_api,
     write_json,
 )
@@ -94,7 +93,7 @@ def rescore(
             d_th=d_th,
             title=f"How much the boundary depends on its settings: {fetched.body.name}",
         )
-        save_picture(drawn, picture)
+        drawn.savefig(picture)
     if as_json:
         print_json(
             {
@@ -238,15 +237,15 @@ def _numbers(option: str, text: str, *, low: float, high: float, closed: bool) -
 
 def _table(name: str, found: list[Rescored], own: float) -> Table:
     columns = (name, "neighbours", "on the boundary", "distinct", "strict")
-    table = plain_table(*columns, "", right=columns)
-    for one in found:
-        value = one.radius if name == "radius" else one.p_th
-        table.add_row(
-            f"{value:g}",
+    rows = [
+        (
+            f"{getattr(one, name):g}",
             f"{one.neighbours:g}",
             f"{one.near:,}",
             f"{one.dbs:,}",
             f"{one.strict_dbs:,}",
-            "this campaign" if value == own else "",
+            "this campaign" if getattr(one, name) == own else "",
         )
-    return table
+        for one in found
+    ]
+    return plain_table(*columns, "", right=columns, rows=rows)

@@ -7,7 +7,7 @@ apart.
 """
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from brink.guard.drives import Drive, behaviour_of, reports_anything, scenario_of
 from brink.search.space import BoolArray
+from brink.server.errors import Conflict
 from brink.sim.episode import EpisodeSpec
 
 ABOUT: Final = "seen"
@@ -82,6 +83,40 @@ class SeenDrives:
             "scenario and behaviour unseen": ~scenario & ~behaviour,
         }
         return {name: mask for name, mask in masks.items() if mask.any()}
+
+
+def check_unseen(
+    about: Mapping[str, Any],
+    drives: Iterable[tuple[str, Sequence[EpisodeSpec]]],
+    *,
+    name: str,
+    seeds: Collection[int],
+    option: str,
+) -> None:
+    """Check that a guard was not fitted to drives on which it is to be evaluated.
+
+    Args:
+        about: The provenance of the guard.
+        drives: Whose drives they are, such as ``campaign 3f2a``, and their episodes.
+        name: The guard, for messages.
+        seeds: Seeds of those that are random.
+        option: The option that sets these seeds, for messages.
+
+    Raises:
+        Conflict: It was fitted to some of them.
+    """
+    drawn = about.get("random")
+    if isinstance(drawn, Mapping) and drawn.get("seed") in seeds:
+        raise Conflict(f"{name} was fitted to random drives of seed {drawn['seed']}: choose another {option}")
+    seen = SeenDrives.by(about)
+    if seen is None:
+        return
+    for whose, specs in drives:
+        if repeated := seen.repeats(specs):
+            raise Conflict(
+                f"{name} was fitted to {repeated:,} of the {len(specs):,} solutions of {whose}: evaluate it on other "
+                f"drives, ideally fresh random ones with another {option}"
+            )
 
 
 def _solution(scenario: str, behaviour: str, seed: int) -> str:

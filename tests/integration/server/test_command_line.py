@@ -376,7 +376,7 @@ def test_database_error_is_one_line(brink: Command, tmp_path: Path, monkeypatch:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--out", "sheet.gif"], "--out: sheet.gif: expected a file name that ends in .png or .jpg"),
+        (["--out", "sheet.gif"], "--out: sheet.gif: expected a file name that ends in .png, .jpg or .jpeg"),
         (["--out", "gone/sheet.png"], "--out: gone: no such folder"),
         (["--out", "s.png", "--image", "gone.png"], "--image: gone.png: no such file"),
         (["--out", "s.png", "--image", "."], "--image: .: not a file"),

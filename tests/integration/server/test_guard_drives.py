@@ -11,8 +11,8 @@ from support.guards import drive_with, stump_guard
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.cli.guard_drive import _choice, _params
-from brink.cli.options import read_odd
+from brink.cli.guard_drive import _choice
+from brink.cli.options import named_values, read_odd
 from brink.guard import loop as loop_module
 from brink.guard.drives import check_problem, random_specs
 from brink.guard.loop import Condition, GuardedLoop, Outcome, drive_with_guard, run_drive
@@ -99,7 +99,8 @@ def test_a_guard_drives_its_own_problem_unless_another_one_is_named() -> None:
     model = replace(stump_guard(), about={"problem": own})
 
     def chosen(*given: str, problem: str | None = None, odd: Sequence[str] = ()) -> dict[str, Any]:
-        return _choice(model, problem, _params(given, read_odd(odd)), ()).model_dump()
+        params = named_values("--param", given, "x=1") | ({"odd": read_odd(odd)} if odd else {})
+        return _choice(model, problem, params, ()).model_dump()
 
     requirement = {"requirement": ["front-gap@1"]}
     assert chosen() == {"id": "urban-errors@1", "params": {**own["params"], **requirement}}
