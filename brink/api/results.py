@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import io
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -19,7 +20,9 @@ from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.errors import ServerError
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView, PairView
 from brink.server.views import SolutionView
+from brink.sim.errors import SimulatorError
 from brink.sim.trace import Trace
+from brink.worker.errors import WorkerError
 from brink.worker.process import EpisodeProcess, episode_result
 from brink.worker.wire import JobFailed
 
@@ -34,6 +37,19 @@ class NoTrace(ServerError):
 
 class NothingToReplay(NoTrace):
     """A solution was not simulated, or its simulator records no traces."""
+
+
+UNDRAWABLE: Final = (
+    NoTrace,
+    CoordinatorError,
+    SimulatorError,
+    WorkerError,
+    LookupError,
+    ValueError,
+    TypeError,
+    ArithmeticError,
+)
+"""Why a drive has no picture: a simulator may record anything, so a picture that fails is noted and left out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,6 +127,18 @@ async def read_all_pairs(api: Api, campaign: str) -> PairsView | TooManyPairs:
 def find_pair(view: PairsView, number: int) -> PairView | None:
     """Return the pair with a number; None if it is not among the fetched ones."""
     return next((pair for pair in view.pairs if pair.place == number), None)
+
+
+async def trace_of(api: Api, campaign: str, number: int, *, workers: bool) -> Trace:
+    """Return the trace of a solution, from the coordinator's workers or else by running its episode on this machine.
+
+    Raises:
+        NoTrace: No worker ran the episode in time, or it failed on this machine.
+        CoordinatorError: The solution does not exist, or its episode cannot be run again.
+    """
+    if workers:
+        return await fetch_trace(api, campaign, number, TRACE_TIMEOUT_S)
+    return await run_episode(api, campaign, number)
 
 
 async def fetch_trace(api: Api, campaign: str, number: int, timeout_s: float) -> Trace:

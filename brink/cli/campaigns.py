@@ -343,10 +343,10 @@ def results(
         path, params = f"/campaigns/{campaign}/boundary", {"t_b": t_b, "d_th": d_th}
         document: dict[str, Any] = await api.get(path, params)
         if out is not None:
-            if out.suffix == ".json":
+            form = {**params, "format": out.suffix.lower().removeprefix(".")}
+            if form["format"] == "json":
                 write_json(out, document)
             else:
-                form = {**params, "format": out.suffix.removeprefix(".")}
                 out.write_bytes((await api.request("GET", path, params=form)).content)
             echo(f"{out}: {Boundary.model_validate(document).words}", err=as_json)
         if as_json:

@@ -36,7 +36,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "combinations": ("brink.cli.findings:combinations", "Show hazardous chains of perturbations"),
         "compare": ("brink.cli.compare:compare", "Compare campaigns, each with its control"),
         "plot": ("brink.cli.draw:plot", "Draw the figures of a campaign"),
-        "report": ("brink.cli.report:report", "Write a report to hand on: one HTML file"),
+        "report": ("brink.cli.draw:report", "Write a report to hand on: one HTML file"),
         "replay": ("brink.cli.draw:replay", "Draw one episode as PNG, GIF or MP4"),
     },
     "Trust": {

@@ -1,4 +1,4 @@
-"""`brink plot` and `brink replay`, and the first result files of `brink run`."""
+"""`brink plot`, `brink replay` and `brink report`: pictures and pages about a campaign."""
 
 import asyncio
 from pathlib import Path
@@ -8,14 +8,7 @@ import typer
 
 from brink.api.client import Api
 from brink.api.live import Steps
-from brink.api.results import (
-    TRACE_TIMEOUT_S,
-    fetch_archive,
-    fetch_requirements,
-    fetch_trace,
-    read_all_pairs,
-    run_episode,
-)
+from brink.api.results import fetch_archive, fetch_requirements, read_all_pairs, trace_of
 from brink.api.terminal import echo
 from brink.cli.options import (
     RESULTS,
@@ -25,17 +18,18 @@ from brink.cli.options import (
     DistanceThreshold,
     FitnessThreshold,
     Server,
+    check_ids,
     check_out,
     console,
     print_json,
     with_api,
-    write_json,
 )
 from brink.pictures import render
+from brink.report.campaign import campaign_report, write_page
 from brink.report.figures import draw_figures
+from brink.report.kind_pictures import MOST_PAIRS
 from brink.search.errors import TooManyPairs
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.findings.boundary.views import Boundary
 
 
 def plot(
@@ -107,10 +101,7 @@ def replay(
         requirement = await fetch_requirements(api, campaign)
         # On stderr: the output of this command is the name of the file.
         with Steps(console(stderr=True), f"simulating solution {number}") as steps:
-            if server is None:
-                trace = await run_episode(api, campaign, number)
-            else:
-                trace = await fetch_trace(api, campaign, number, TRACE_TIMEOUT_S)
+            trace = await trace_of(api, campaign, number, workers=server is not None)
             drawn = steps.of(f"drawing {out}")
             await asyncio.to_thread(render, trace, out, requirement=requirement, on_progress=drawn)
 
@@ -118,32 +109,50 @@ def replay(
     echo(out)
 
 
-async def write_results(
-    api: Api, campaign: str, folder: Path, *, t_b: float, d_th: float, even_empty: bool = True
-) -> tuple[Boundary, list[Path]]:
-    """Write the boundary (CSV and JSON) and the archive of a campaign.
+def report(
+    campaign: CampaignId,
+    out: Annotated[Path, typer.Option(help="File to write: .html.")] = Path("report.html"),
+    pairs: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            max=20,
+            help="Maximum number of pairs to show in full, with pictures; others are in a table.",
+        ),
+    ] = MOST_PAIRS,
+    episodes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID",
+            show_default=False,
+            callback=check_ids,
+            help="Also check the detector of this campaign, such as one on urban-camera@1, against tolerances.",
+        ),
+    ] = None,
+    database: Database = None,
+    server: Server = None,
+) -> None:
+    """Write a report of a campaign to hand on: one HTML file with all pictures, to be read in any browser or printed.
 
-    Args:
-        api: Coordinator of the campaign.
-        campaign: Id of the campaign.
-        folder: Folder to write to; created if missing.
-        t_b: Maximum fitness of a boundary solution.
-        d_th: Minimum distance between two boundary solutions.
-        even_empty: Whether to write the boundary even if it is empty.
+    It says what was found, shows the best pairs or whatever the campaign looked for, and says how far to trust it
+    and how to compute it again. Without --server, this machine runs the episodes of the pictures again; with it, the
+    coordinator's workers do. The report of a campaign that has not ended says so.
 
-    Returns:
-        The boundary, and the files.
+    Example: brink report 3f2a --out report.html
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    path, params = f"/campaigns/{campaign}/boundary", {"t_b": t_b, "d_th": d_th}
-    document = await api.get(path, params)
-    boundary, files = Boundary.model_validate(document), []
-    if boundary.solutions or even_empty:
-        files = [folder / "boundary.csv", folder / "boundary.json"]
-        table = await api.request("GET", path, params={**params, "format": "csv"})
-        files[0].write_bytes(table.content)
-        write_json(files[1], document)
-    archive = await api.request("GET", f"/campaigns/{campaign}/archive.npz")
-    files.append(folder / "archive.npz")
-    files[-1].write_bytes(archive.content)
-    return boundary, files
+    check_out(out, ".html", ".htm")
+    screen = console()
+
+    async def work(api: Api) -> str:
+        with Steps(screen, "reading the campaign") as steps:
+            return await campaign_report(
+                api,
+                campaign,
+                most_pairs=pairs,
+                episodes=episodes,
+                workers=server is not None,
+                show=steps.show,
+            )
+
+    size = write_page(out, with_api(server, database, work))
+    screen.print(f"{out}: {size / 1e6:.1f} MB", soft_wrap=True)

@@ -21,23 +21,7 @@ from brink.cli.options import (
     print_json,
     with_api,
 )
-from brink.cli.recording_options import (
-    LEAST_SHARE,
-    MOST_OCCLUSION,
-    THRESHOLD,
-    Calibration,
-    CameraSizes,
-    Classes,
-    Clip,
-    Condition,
-    FramesPerS,
-    GivenRecording,
-    MaxOcclusion,
-    MinVisible,
-    RecordingFormat,
-    Threshold,
-    Truth,
-)
+from brink.cli.recording_options import GivenRecording, RecordingFormat, RecordingOptions, with_recording
 from brink.recordings.fit_errors import TYPES, fit_errors
 from brink.recordings.measure import observe
 from brink.report.errors import (
@@ -61,19 +45,11 @@ errors = typer.Typer(
 
 
 @errors.command()
+@with_recording
 def fit(
     detections: Annotated[Path, typer.Argument(metavar="RECORDING", help="File or folder with detections.")],
-    truth: Truth = None,
     form: RecordingFormat = None,
-    camera: CameraSizes = None,
-    calibration: Calibration = None,
-    frames_per_s: FramesPerS = None,
-    classes: Classes = None,
-    condition: Condition = None,
-    clip: Clip = False,
-    threshold: Threshold = THRESHOLD,
-    max_occlusion: MaxOcclusion = MOST_OCCLUSION,
-    min_visible: MinVisible = LEAST_SHARE,
+    recording: RecordingOptions = RecordingOptions(),
     without: Annotated[
         list[str] | None,
         typer.Option(
@@ -108,25 +84,12 @@ def fit(
         raise InvalidInput.at("--out", f"expected another file than that of the campaign, {file}")
     check_out(out)
     check_out(file, option="--campaign")
-    given = GivenRecording(
-        detections=detections,
-        truth=truth,
-        format=form,
-        camera=camera,
-        calibration=calibration,
-        frames_per_s=frames_per_s,
-        classes=classes or (),
-        condition=condition,
-        clip=clip,
-        threshold=threshold,
-        most_occlusion=max_occlusion,
-        least_share=min_visible,
-    )
-    recording = given.read()
-    observed = observe(recording, threshold=given.threshold, visibility=given.visibility)
-    for line in given.words(recording):
+    given = GivenRecording.of(detections, form, recording)
+    drives = given.read()
+    observed = observe(drives, threshold=given.threshold, visibility=given.visibility)
+    for line in given.words(drives):
         echo(line)
-    fitted = fit_errors([drive.meter for drive in observed], recording.name, without=without or ())
+    fitted = fit_errors([drive.meter for drive in observed], drives.name, without=without or ())
     screen = console()
     screen.print(plain_table(*COLUMNS, right=COLUMNS[2:], rows=error_rows(fitted)))
     for line in error_sentences(fitted):

@@ -10,16 +10,9 @@ import typer
 from rich.console import Console
 
 from brink import __version__
-from brink.api.client import Api, CoordinatorError
+from brink.api.client import Api
 from brink.api.live import Steps
-from brink.api.results import (
-    FetchedArchive,
-    NoTrace,
-    fetch_archive,
-    fetch_requirements,
-    fetch_trace,
-    run_episode,
-)
+from brink.api.results import UNDRAWABLE, FetchedArchive, fetch_archive, fetch_requirements, trace_of
 from brink.cli.evidence_pairs import PairEvidence, draw_pair_evidence, write_pair_tables
 from brink.cli.options import (
     AsJson,
@@ -43,22 +36,7 @@ from brink.server.errors import InvalidInput
 from brink.server.findings.boundary.table import MEANINGS, boundary_columns, boundary_rows
 from brink.server.findings.boundary.views import Boundary
 from brink.server.findings.table import FORMATS, Row, has_parquet, table_bytes
-from brink.sim.errors import SimulatorError
 from brink.sim.trace import Trace
-from brink.worker.errors import WorkerError
-
-TRACE_TIMEOUT_S = 120.0
-UNDRAWABLE = (
-    NoTrace,
-    CoordinatorError,
-    SimulatorError,
-    WorkerError,
-    LookupError,
-    ValueError,
-    TypeError,
-    ArithmeticError,
-)
-"""A simulator may record anything, so a replay that fails is noted and skipped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -219,7 +197,7 @@ async def _replays(
         for done, (row, number) in enumerate(chosen):
             steps.show("drawing replays", done, len(chosen))
             try:
-                trace = await _trace(api, fetched.id, number, options)
+                trace = await trace_of(api, fetched.id, number, workers=options.server is not None)
                 counts = count_detections(trace).to_columns()
                 await asyncio.to_thread(_draw, trace, folder, number, options.film, requirement)
             except UNDRAWABLE as error:
@@ -229,12 +207,6 @@ async def _replays(
             row["replay"] = f"episodes/{number}.{options.film or 'png'}"
             drawn += 1
     return drawn, notes
-
-
-async def _trace(api: Api, campaign: str, number: int, options: _Options) -> Trace:
-    if options.server is None:
-        return await run_episode(api, campaign, number)
-    return await fetch_trace(api, campaign, number, TRACE_TIMEOUT_S)
 
 
 def _draw(

@@ -5,26 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from brink.api.client import Api, CoordinatorError
-from brink.api.results import FetchedArchive, NoTrace, read_all_pairs
+from brink.api.client import Api
+from brink.api.results import UNDRAWABLE, FetchedArchive, read_all_pairs
 from brink.report.pair_pictures import write_pair
 from brink.search.errors import TooManyPairs
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView, PairView
 from brink.server.findings.table import FORMATS, has_parquet
 from brink.server.problems.changes import as_sentence
-from brink.sim.errors import SimulatorError
-from brink.worker.errors import WorkerError
 
-_UNDRAWABLE: Final = (
-    NoTrace,
-    CoordinatorError,
-    SimulatorError,
-    WorkerError,
-    LookupError,
-    ValueError,
-    TypeError,
-    ArithmeticError,
-)
 _FOLDER: Final = "pairs"
 
 
@@ -148,7 +136,7 @@ async def draw_pair_evidence(
         try:
             for name in names:
                 await write_pair(api, view, pair, folder / name, workers=workers, show=show)
-        except _UNDRAWABLE as error:
+        except UNDRAWABLE as error:
             notes.append(f"pair {pair.place} has no picture: {type(error).__name__}: {error}")
             continue
         drawn[pair.place] = names

@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperGroup
 
 from brink.api.client import Api
-from brink.api.results import TRACE_TIMEOUT_S, fetch_requirements, fetch_trace, run_episode
+from brink.api.results import fetch_requirements, trace_of
 from brink.api.terminal import echo
 from brink.cli.database import export as export_campaign
 from brink.cli.options import AsJson, CampaignId, Database, Server, print_json, with_api
@@ -21,7 +21,6 @@ from brink.search.errors import MissingExtra
 from brink.server.api.schemas import CampaignView
 from brink.server.errors import InvalidInput
 from brink.server.views import SolutionView
-from brink.sim.trace import Trace
 
 CAMPAIGN = "campaign"
 
@@ -106,11 +105,7 @@ async def _export_scenario(
         deciding=await fetch_requirements(api, campaign) or (),
         odd=view.body.problem.params.get("odd", {}),
     )
-    trace: Trace = (
-        await run_episode(api, campaign, number)
-        if server is None
-        else await fetch_trace(api, campaign, number, TRACE_TIMEOUT_S)
-    )
+    trace = await trace_of(api, campaign, number, workers=server is not None)
     return await asyncio.to_thread(
         write_openscenario, trace, origin, out, ego=ego, created_at=datetime.now(UTC)
     )

@@ -434,7 +434,7 @@ def check_out(file: Path, *endings: str, option: str = "--out", make_folder: boo
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InvalidInput.at(option, f"{file.parent}: {error.strerror}") from None
+            raise InvalidInput.at(option, f"expected a folder, {file.parent}: {error.strerror}") from None
     if not file.parent.is_dir():
         raise InvalidInput.at(option, f"{file.parent}: no such folder")
     if file.is_dir():

@@ -7,8 +7,8 @@ from typing import Any, Final
 from rich.console import Console
 from rich.text import Text
 
-from brink.api.client import Api, CoordinatorError
-from brink.api.results import FetchedArchive, NoTrace, find_pair, read_all_pairs
+from brink.api.client import Api
+from brink.api.results import UNDRAWABLE, FetchedArchive, find_pair, read_all_pairs
 from brink.cli.options import print_sentence
 from brink.cli.pair_tables import pairs_table, print_legend
 from brink.report.figures import Drawing
@@ -23,20 +23,9 @@ from brink.server.errors import InvalidInput
 from brink.server.findings.pairs.views import MOST_PAIRS, ComponentPart, PairsView, PairView
 from brink.server.problems.catalogue import make_problem
 from brink.server.problems.requirements import ANY
-from brink.sim.errors import SimulatorError
 
 _PAIRS_SHOWN: Final = 5
 _FORMATS: Final = ("jsonl", "csv")
-_UNDRAWABLE: Final = (
-    NoTrace,
-    CoordinatorError,
-    SimulatorError,
-    LookupError,
-    ValueError,
-    TypeError,
-    ArithmeticError,
-)
-"""A simulator may record anything, so a picture that fails is noted and left out."""
 
 
 class PairFindings:
@@ -131,7 +120,7 @@ class PairFindings:
                 self._replayable = await write_pair(
                     drawing.api, self._view, pair, _file_of(drawing, pair), workers=False, show=drawing.show
                 )
-            except _UNDRAWABLE as error:
+            except UNDRAWABLE as error:
                 self._no_picture = f"no picture of pair {pair.place}: {error}"
                 self._replayable = False
                 break

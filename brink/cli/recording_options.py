@@ -1,31 +1,28 @@
 """Options that describe a recording of a detector: its files, camera and classes, and what counts in it."""
 
+import functools
+import inspect
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from dataclasses import fields as dataclass_fields
+from inspect import Parameter
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Any, Final, Self, TypeVar, get_type_hints
 
 import typer
 
+from brink.cli.options import fields
 from brink.recordings.camera import CameraModel
 from brink.recordings.measure import Visibility, contradictions
 from brink.recordings.reading import formats_by_name, parse_classes, read_recording, read_settings
 from brink.recordings.recording import ReadOptions, Recording
 from brink.server.errors import InvalidInput
 
+T = TypeVar("T")
 THRESHOLD: Final = 0.5
 """Smallest score of a detection that counts, unless the user says otherwise."""
 
-Truth = Annotated[
-    Path | None,
-    typer.Option(
-        "--truth",
-        metavar="PATH",
-        show_default=False,
-        help="File or folder with the true road users, if the detections are elsewhere.",
-    ),
-]
 RecordingFormat = Annotated[
     str | None,
     typer.Option(
@@ -35,93 +32,14 @@ RecordingFormat = Annotated[
         help=f"Format of the recording: {', '.join(formats_by_name())} (default: recognised by its files).",
     ),
 ]
-CameraSizes = Annotated[
-    tuple[float, float, float, float] | None,
-    typer.Option(
-        "--camera",
-        metavar="WIDTH HEIGHT FOV ABOVE",
-        show_default=False,
-        help="Level camera of the recording: size in px, horizontal field of view in degrees, height in m "
-        "(default: what the files say, else 800 600 90 1.7).",
-    ),
-]
-Calibration = Annotated[
-    Path | None,
-    typer.Option(
-        "--calibration",
-        metavar="FILE.yaml",
-        show_default=False,
-        help="Camera by focal length, optical axis, height and pitch; also classes, conditions and cameras of single "
-        "drives.",
-    ),
-]
-FramesPerS = Annotated[
-    float | None,
-    typer.Option(
-        "--frames-per-s",
-        min=0.1,
-        max=1000.0,
-        show_default=False,
-        help="Images per second of a recording that numbers its images.",
-    ),
-]
-Classes = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--classes",
-        metavar="CLASS=MEANING",
-        show_default=False,
-        help="What a class of the recording is: vehicle, person or ignore, such as cyclist=person. May be given "
-        "several times.",
-    ),
-]
-Condition = Annotated[
-    str | None,
-    typer.Option(
-        "--condition",
-        metavar="NAME",
-        show_default=False,
-        help="Condition of drives of which the recording says none, such as 'day, dry'.",
-    ),
-]
-Clip = Annotated[
-    bool, typer.Option("--clip", help="Clip boxes that reach beyond the image; otherwise they are refused.")
-]
-Threshold = Annotated[
-    float,
-    typer.Option("--threshold", help="Smallest score of a detection that counts, where there are scores."),
-]
-MaxOcclusion = Annotated[
-    int,
-    typer.Option(
-        "--max-occlusion",
-        min=0,
-        max=3,
-        help="Largest occlusion flag of a road user that should be reported: 0 visible, 1 partly, 2 largely hidden, "
-        "3 unknown.",
-    ),
-]
-MinVisible = Annotated[
-    float,
-    typer.Option(
-        "--min-visible",
-        min=0.0,
-        max=1.0,
-        help="Smallest visible share of a road user that should be reported.",
-    ),
-]
-MOST_OCCLUSION: Final = Visibility().most_occlusion
-LEAST_SHARE: Final = Visibility().least_share
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GivenRecording:
-    """A recording as given to a command.
+class RecordingOptions:
+    """What a recording is, besides its detections: each field is an option of the commands that read one.
 
     Attributes:
-        detections: File or folder with what the detector reported.
         truth: File or folder with the true road users; None for the same.
-        format: Name of the format; None to recognise it.
         camera: Width and height of the images in px, field of view in degrees, height above the ground in m.
         calibration: File with the camera and more.
         frames_per_s: Images per second.
@@ -133,18 +51,143 @@ class GivenRecording:
         least_share: Smallest visible share that counts as visible.
     """
 
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            "--truth",
+            metavar="PATH",
+            show_default=False,
+            help="File or folder with the true road users, if the detections are elsewhere.",
+        ),
+    ] = None
+    camera: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(
+            "--camera",
+            metavar="WIDTH HEIGHT FOV ABOVE",
+            show_default=False,
+            help="Level camera of the recording: size in px, horizontal field of view in degrees, height in m "
+            "(default: what the files say, else 800 600 90 1.7).",
+        ),
+    ] = None
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            "--calibration",
+            metavar="FILE.yaml",
+            show_default=False,
+            help="Camera by focal length, optical axis, height and pitch; also classes, conditions and cameras of "
+            "single drives.",
+        ),
+    ] = None
+    frames_per_s: Annotated[
+        float | None,
+        typer.Option(
+            "--frames-per-s",
+            min=0.1,
+            max=1000.0,
+            show_default=False,
+            help="Images per second of a recording that numbers its images.",
+        ),
+    ] = None
+    classes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--classes",
+            metavar="CLASS=MEANING",
+            show_default=False,
+            help="What a class of the recording is: vehicle, person or ignore, such as cyclist=person. May be given "
+            "several times.",
+        ),
+    ] = None
+    condition: Annotated[
+        str | None,
+        typer.Option(
+            "--condition",
+            metavar="NAME",
+            show_default=False,
+            help="Condition of drives of which the recording says none, such as 'day, dry'.",
+        ),
+    ] = None
+    clip: Annotated[
+        bool,
+        typer.Option("--clip", help="Clip boxes that reach beyond the image; otherwise they are refused."),
+    ] = False
+    threshold: Annotated[
+        float,
+        typer.Option(
+            "--threshold", help="Smallest score of a detection that counts, where there are scores."
+        ),
+    ] = THRESHOLD
+    most_occlusion: Annotated[
+        int,
+        typer.Option(
+            "--max-occlusion",
+            min=0,
+            max=3,
+            help="Largest occlusion flag of a road user that should be reported: 0 visible, 1 partly, 2 largely "
+            "hidden, 3 unknown.",
+        ),
+    ] = Visibility().most_occlusion
+    least_share: Annotated[
+        float,
+        typer.Option(
+            "--min-visible",
+            min=0.0,
+            max=1.0,
+            help="Smallest visible share of a road user that should be reported.",
+        ),
+    ] = Visibility().least_share
+
+    def given(self) -> list[str]:
+        """Return the options that were given, as far as they are not what they are by default."""
+        named = {"most_occlusion": "--max-occlusion", "least_share": "--min-visible"}
+        return [
+            named.get(one.name, f"--{one.name.replace('_', '-')}")
+            for one in dataclass_fields(self)
+            if getattr(self, one.name) not in (one.default, [])
+        ]
+
+
+def with_recording(command: Callable[..., T]) -> Callable[..., T]:
+    """Return a command with an option for each field of `RecordingOptions` in place of its argument ``recording``."""
+    signature = inspect.signature(command)
+    names = [one.name for one in dataclass_fields(RecordingOptions)]
+    hints = get_type_hints(RecordingOptions, include_extras=True)
+    options = [
+        Parameter(one.name, Parameter.POSITIONAL_OR_KEYWORD, default=one.default, annotation=hints[one.name])
+        for one in dataclass_fields(RecordingOptions)
+    ]
+    parameters: list[Parameter] = []
+    for one in signature.parameters.values():
+        parameters += options if one.name == "recording" else [one]
+
+    @functools.wraps(command)
+    def call(**given: Any) -> T:
+        recording = RecordingOptions(**{name: given.pop(name) for name in names})
+        return command(recording=recording, **given)
+
+    call.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    call.__annotations__ = {one.name: one.annotation for one in parameters}
+    return call
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GivenRecording(RecordingOptions):
+    """A recording as a command was given it.
+
+    Attributes:
+        detections: File or folder with what the detector reported.
+        format: Name of the format; None to recognise it.
+    """
+
     detections: Path
-    truth: Path | None = None
     format: str | None = None
-    camera: tuple[float, float, float, float] | None = None
-    calibration: Path | None = None
-    frames_per_s: float | None = None
-    classes: Sequence[str] = ()
-    condition: str | None = None
-    clip: bool = False
-    threshold: float = THRESHOLD
-    most_occlusion: int = MOST_OCCLUSION
-    least_share: float = LEAST_SHARE
+
+    @classmethod
+    def of(cls, detections: Path, format_: str | None, options: RecordingOptions) -> Self:
+        """Return the recording that consists of these detections and options."""
+        return cls(detections=detections, format=format_, **fields(options))
 
     @property
     def visibility(self) -> Visibility:
@@ -171,7 +214,7 @@ class GivenRecording:
             options = replace(options, camera=CameraModel.level(*self.camera))
         return replace(
             options,
-            classes={**options.classes, **parse_classes(self.classes)},
+            classes={**options.classes, **parse_classes(self.classes or ())},
             frames_per_s=self.frames_per_s or options.frames_per_s,
             condition=self.condition or options.condition,
             clip=self.clip,

@@ -12,10 +12,11 @@ from rich.console import Console
 from brink.api.client import Api
 from brink.api.live import Steps
 from brink.api.results import TRACE_TIMEOUT_S, fetch_archive
-from brink.cli.options import file_name
+from brink.cli.options import file_name, write_json
 from brink.cli.pair_findings import PairFindings, fetch_pair_findings
 from brink.report.campaign import campaign_report, write_page
 from brink.report.figures import Drawing
+from brink.server.findings.boundary.views import Boundary
 
 PAIRS_DRAWN: Final = 1
 """Pairs that the report of a run shows in full; `brink report` draws more."""
@@ -34,6 +35,37 @@ def results_folder(out: Path, name: str, campaign: str) -> Path:
         campaign: Full id of the campaign.
     """
     return out / f"{file_name(name)}-{campaign}"
+
+
+async def write_results(
+    api: Api, campaign: str, folder: Path, *, t_b: float, d_th: float, even_empty: bool = True
+) -> tuple[Boundary, list[Path]]:
+    """Write the boundary (CSV and JSON) and the archive of a campaign.
+
+    Args:
+        api: Coordinator of the campaign.
+        campaign: Id of the campaign.
+        folder: Folder to write to; created if missing.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two boundary solutions.
+        even_empty: Whether to write the boundary even if it is empty.
+
+    Returns:
+        The boundary, and the files.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path, params = f"/campaigns/{campaign}/boundary", {"t_b": t_b, "d_th": d_th}
+    document = await api.get(path, params)
+    boundary, files = Boundary.model_validate(document), []
+    if boundary.solutions or even_empty:
+        files = [folder / "boundary.csv", folder / "boundary.json"]
+        table = await api.request("GET", path, params={**params, "format": "csv"})
+        files[0].write_bytes(table.content)
+        write_json(files[1], document)
+    archive = await api.request("GET", f"/campaigns/{campaign}/archive.npz")
+    files.append(folder / "archive.npz")
+    files[-1].write_bytes(archive.content)
+    return boundary, files
 
 
 async def write_report(

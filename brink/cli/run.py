@@ -16,7 +16,6 @@ from brink.api.live import CampaignDisplay, Steps, failures_of
 from brink.api.results import fetch_archive
 from brink.api.runs import CampaignRun
 from brink.cli.campaigns import grid_table, solution_table, within_budget
-from brink.cli.draw import write_results
 from brink.cli.findings import Findings, fetch_findings
 from brink.cli.local import CommandSession, RunOptions, run_to_end
 from brink.cli.options import (
@@ -37,7 +36,7 @@ from brink.cli.options import (
 )
 from brink.cli.pair_findings import PairFindings, TooManyFindings, fetch_pair_findings
 from brink.cli.repeats import repeat_finished, write_repeats
-from brink.cli.results_folder import results_folder, write_report
+from brink.cli.results_folder import results_folder, write_report, write_results
 from brink.report.comparison import compared_archives
 from brink.report.figures import Drawing, draw_figures, write_replays
 from brink.search.analysis.comparison import control_summaries

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -25,22 +26,7 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
-from brink.cli.recording_options import (
-    LEAST_SHARE,
-    MOST_OCCLUSION,
-    THRESHOLD,
-    Calibration,
-    CameraSizes,
-    Classes,
-    Clip,
-    Condition,
-    FramesPerS,
-    GivenRecording,
-    MaxOcclusion,
-    MinVisible,
-    Threshold,
-    Truth,
-)
+from brink.cli.recording_options import GivenRecording, RecordingOptions, with_recording
 from brink.recordings.reading import formats_by_name
 from brink.report.figures import Drawing
 from brink.report.tolerance import requirement_document
@@ -57,6 +43,7 @@ MOST_CONDITIONS: Final = 4
 RESULTS_FORMATS: Final = {one.value for one in Format}
 
 
+@with_recording
 def tolerance(
     campaign: CampaignId,
     forms: Annotated[
@@ -105,7 +92,7 @@ def tolerance(
             help="Check a detector against it: what it reported in recorded drives, as a file or folder.",
         ),
     ] = None,
-    truth: Truth = None,
+    recording: RecordingOptions = RecordingOptions(),
     coco: Annotated[
         tuple[Path, Path] | None,
         typer.Option(
@@ -114,13 +101,6 @@ def tolerance(
             help="Short for --truth TRUTH --detections RESULTS --format coco.",
         ),
     ] = None,
-    camera: CameraSizes = None,
-    calibration: Calibration = None,
-    frames_per_s: FramesPerS = None,
-    classes: Classes = None,
-    condition: Condition = None,
-    clip: Clip = False,
-    threshold: Threshold = THRESHOLD,
     thresholds: Annotated[
         str | None,
         typer.Option(
@@ -130,8 +110,6 @@ def tolerance(
             "nine that are spread over its scores.",
         ),
     ] = None,
-    max_occlusion: MaxOcclusion = MOST_OCCLUSION,
-    min_visible: MinVisible = LEAST_SHARE,
     images: Annotated[
         Path | None,
         typer.Option(
@@ -162,9 +140,10 @@ def tolerance(
     Example: brink tolerance 3f2a --episodes 9c01 --gate
     """
     if coco is not None:
-        if detections is not None or truth is not None:
+        if detections is not None or recording.truth is not None:
             raise InvalidInput.at("--coco", "cannot be combined with --detections or --truth")
-        (truth, detections), forms = coco, [*(forms or ()), "coco"]
+        recording = replace(recording, truth=coco[0])
+        detections, forms = coco[1], [*(forms or ()), "coco"]
     given = [
         name
         for name, value in (("--against", against), ("--episodes", episodes), ("--detections", detections))
@@ -173,23 +152,8 @@ def tolerance(
     if len(given) > 1:
         raise InvalidInput.at(given[1], f"cannot be combined with {given[0]}")
     form, recording_format = _formats(forms or (), detections)
-    _refuse_unused(
-        detections is not None,
-        "--detections",
-        {
-            "--truth": truth,
-            "--camera": camera,
-            "--calibration": calibration,
-            "--frames-per-s": frames_per_s,
-            "--classes": classes,
-            "--condition": condition,
-            "--clip": clip,
-            "--thresholds": thresholds,
-            "--threshold": threshold != THRESHOLD,
-            "--max-occlusion": max_occlusion != MOST_OCCLUSION,
-            "--min-visible": min_visible != LEAST_SHARE,
-        },
-    )
+    options = {**dict.fromkeys(recording.given(), True), "--thresholds": thresholds}
+    _refuse_unused(detections is not None, "--detections", options)
     is_check = detections is not None or episodes is not None
     _refuse_unused(is_check, "--detections or --episodes", {"--gate": gate})
     if gate and thresholds is not None:
@@ -207,20 +171,7 @@ def tolerance(
     )
     wanted = Output(form=form, out=out, picture=picture)
     if detections is not None:
-        files = GivenRecording(
-            detections=detections,
-            truth=truth,
-            format=recording_format,
-            camera=camera,
-            calibration=calibration,
-            frames_per_s=frames_per_s,
-            classes=classes or (),
-            condition=condition,
-            clip=clip,
-            threshold=threshold,
-            most_occlusion=max_occlusion,
-            least_share=min_visible,
-        )
+        files = GivenRecording.of(detections, recording_format, recording)
         check: Check = RecordingCheck(campaign, files, thresholds, images, wanted)
     elif episodes is not None:
         check = EpisodesCheck(campaign, episodes, wanted)

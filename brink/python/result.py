@@ -21,14 +21,12 @@ from brink.api.follow_ups import continue_follow_up, follow_up_requests
 from brink.api.following import Silent, go_on
 from brink.api.live import failures_of
 from brink.api.results import (
-    TRACE_TIMEOUT_S,
     FetchedArchive,
     fetch_archive,
     fetch_requirements,
-    fetch_trace,
     find_pair,
     read_all_pairs,
-    run_episode,
+    trace_of,
 )
 from brink.pictures import render
 from brink.python.connection import Connection, environment_with, with_workers
@@ -434,11 +432,7 @@ class AsyncResult(CampaignResult):
         """
         async with self._connection.open() as api:
             requirement = await fetch_requirements(api, self.id)
-            trace = (
-                await fetch_trace(api, self.id, number, TRACE_TIMEOUT_S)
-                if self._connection.has_workers
-                else await run_episode(api, self.id, number)
-            )
+            trace = await trace_of(api, self.id, number, workers=self._connection.has_workers)
         with _scratch(film) as path:
             await asyncio.to_thread(render, trace, path, requirement=requirement)
             words = f"solution {number} of {self.name}"

@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from brink.api.client import Api, CoordinatorError
-from brink.api.results import NoTrace, read_all_pairs
+from brink.api.client import Api
+from brink.api.results import UNDRAWABLE, read_all_pairs
 from brink.report.campaign_facts import Facts
 from brink.report.campaign_sections import Album, Article, Section
 from brink.report.combinations import draw_chains
@@ -31,8 +31,6 @@ from brink.server.findings.tolerances.views import ToleranceView
 from brink.server.findings.violations.views import TypeView, Violations
 from brink.server.findings.words import counted
 from brink.server.problems.changes import as_sentence
-from brink.sim.errors import SimulatorError
-from brink.worker.errors import WorkerError
 
 MOST_PAIRS: Final = 6
 OTHERS_PAIRS: Final = 2
@@ -42,17 +40,6 @@ CHAINS_DRAWN: Final = 1
 """A chain and its parts are up to six drives with a camera, each of which takes as long as in the search."""
 REPLAYS_DRAWN: Final = 2
 _AT_ONCE: Final = 2
-_UNDRAWABLE: Final = (
-    NoTrace,
-    CoordinatorError,
-    SimulatorError,
-    WorkerError,
-    LookupError,
-    ValueError,
-    TypeError,
-    ArithmeticError,
-)
-"""A simulator may record anything, so a picture that fails is left out."""
 
 
 class KindPictures:
@@ -131,7 +118,7 @@ class _Pairs(KindPictures):
                 try:
                     assert self._view is not None
                     await write_pair(drawing.api, self._view, pair, path, workers=drawing.workers)
-                except _UNDRAWABLE:
+                except UNDRAWABLE:
                     return None
                 finally:
                     done += 1

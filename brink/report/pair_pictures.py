@@ -54,7 +54,7 @@ async def write_pair(
     try:
         drives = await _drives(api, view, pair, workers=workers, show=show)
     except NothingToReplay:
-        if path.suffix in FILMS:
+        if path.suffix.lower() in FILMS:
             raise
         fetched = await fetch_archive(api, view.campaign)
         await asyncio.to_thread(_draw_figure, fetched, view, pair, path)
