@@ -421,12 +421,14 @@ def within_budget(boundary: Boundary) -> str:
 def grid_table(grid: list[DbsCell]) -> Table:
     """Return a table of DBS and strict DBS over the paper's grid of thresholds."""
     t_bs = sorted({cell.t_b for cell in grid})
-    headers = {t_b: f"t_b {t_b:g}" for t_b in t_bs}
-    table = plain_table("d_th", *headers.values(), right=headers.values(), title="DBS (strict DBS)")
+    cells = {(cell.d_th, cell.t_b): f"{cell.dbs} ({cell.strict_dbs})" for cell in grid}
+    rows: list[tuple[str | Text, ...]] = [
+        (Text(f"{d_th:g}", "dim"), *(cells[d_th, t_b] for t_b in t_bs))
+        for d_th in sorted({cell.d_th for cell in grid})
+    ]
+    right = [f"t_b {t_b:g}" for t_b in t_bs]
+    table = plain_table("d_th", *right, right=right, title="DBS (strict DBS)", rows=rows)
     table.title_style = "dim"
-    for d_th in sorted({cell.d_th for cell in grid}):
-        cells = {cell.t_b: cell for cell in grid if cell.d_th == d_th}
-        table.add_row(Text(f"{d_th:g}", "dim"), *(f"{cells[t].dbs} ({cells[t].strict_dbs})" for t in t_bs))
     return table
 
 
@@ -434,24 +436,20 @@ def solution_table(
     boundary: Boundary, shown: int = SOLUTIONS_SHOWN, *, rest: str = "in boundary.csv"
 ) -> Table:
     """Return a table of the best boundary solutions, and how to list the rest."""
-    table = plain_table(
-        "number",
-        "outcome",
-        "robustness",
-        "fitness",
-        "unsafe neighbours",
-        "description",
-        right=("number", "robustness", "fitness", "unsafe neighbours"),
-    )
-    for solution in boundary.solutions[:shown]:
-        table.add_row(
-            str(solution.number),
-            solution.outcome or solution.verdict,
-            f"{solution.robustness:.2f}",
-            f"{solution.fitness:.3f}",
-            f"{solution.unsafe_neighbours} of {solution.neighbours}",
-            solution.words,
+    rows = [
+        (
+            str(one.number),
+            one.outcome or one.verdict,
+            f"{one.robustness:.2f}",
+            f"{one.fitness:.3f}",
+            f"{one.unsafe_neighbours} of {one.neighbours}",
+            one.words,
         )
+        for one in boundary.solutions[:shown]
+    ]
+    numbers = ("robustness", "fitness", "unsafe neighbours")
+    columns = ("number", "outcome", *numbers, "description")
+    table = plain_table(*columns, right=("number", *numbers), rows=rows)
     listed = len(boundary.solutions)
     if listed > shown:
         beyond = f", and {boundary.dbs - listed:,} that are not listed" if boundary.dbs > listed else ""

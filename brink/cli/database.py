@@ -4,7 +4,7 @@ They need no coordinator and no token: anyone with access to the database can do
 """
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -55,7 +55,9 @@ _COLOURS = {State.FINE: "green", State.LOOK: "yellow", State.WRONG: "red"}
 
 
 @contextmanager
-def _opened(settings: Settings) -> Iterator[Engines]:
+def _opened(settings: Settings, prepare: Callable[[Settings], object] = check_database) -> Iterator[Engines]:
+    """Yield a database after it was checked, created or upgraded."""
+    prepare(settings)
     engines = open_engines(settings.database)
     try:
         yield engines
@@ -86,8 +88,7 @@ def doctor(
     Example: brink doctor --thorough
     """
     settings = settings_with(database=database)
-    check_exists(settings)
-    with _opened(settings) as engines:
+    with _opened(settings, check_exists) as engines:
         found = list(examine(settings, engines, thorough=thorough, restored=restored))
     if as_json:
         print_json([fields(one, "check", "state", "found", "advice") for one in found])
@@ -112,9 +113,7 @@ def export(
 
     Example: brink export campaign 3f2a --out traffic.brink
     """
-    settings = settings_with(database=database)
-    check_database(settings)
-    with _opened(settings) as engines, engines.reader.connect() as connection:
+    with _opened(settings_with(database=database)) as engines, engines.reader.connect() as connection:
         found = CAMPAIGNS.get(connection, campaign)
         file = out or Path(f"{file_name(found.body.name)}-{found.id}.brink")
         counts = export_campaign(connection, found.id, file)
@@ -136,11 +135,13 @@ def import_(
     """
     settings = settings_with(database=database)
     access = seeder().access(settings.llm_endpoints)
-    with open_export(file) as export:  # a file that is none leaves no database behind
-        prepare_database(settings)
-        with _opened(settings) as engines, engines.writer.begin() as connection:
-            campaigns, counts = import_campaign(connection, export, access)
-            found = [CAMPAIGNS.get(connection, campaign) for campaign in campaigns]
+    with (
+        open_export(file) as export,  # first, so that a file that is none leaves no database behind
+        _opened(settings, prepare_database) as engines,
+        engines.writer.begin() as connection,
+    ):
+        campaigns, counts = import_campaign(connection, export, access)
+        found = [CAMPAIGNS.get(connection, campaign) for campaign in campaigns]
     _print_transfer(
         f"campaign {campaigns[0]} imported from {file}", {"campaign": campaigns[0]}, counts, as_json
     )
@@ -189,7 +190,6 @@ def prune_(
             "expected this option, --traces-days or both: the age in days from which to delete",
         )
     settings = settings_with(database=database)
-    check_database(settings)
     with _opened(settings) as engines:
         with engines.writer.begin() as connection:
             found = prune(
@@ -267,7 +267,7 @@ def db_status(database: Database = None) -> None:
     path: Path | None = settings.sqlite_file
     revision = None
     if path is None or path.exists():
-        with _opened(settings) as engines:
+        with _opened(settings, check_exists) as engines:
             revision = current_revision(engines)
     echo(f"schema {revision or 'none'}; this version needs {head_revision()}")
     if revision != head_revision():
@@ -296,8 +296,7 @@ def create(
     if not 1 <= len(name) <= 200 or not name.isprintable():
         raise typer.BadParameter("expected 1 to 200 printable characters", param_hint="NAME")
     settings = settings_with(database=database)
-    prepare_database(settings)
-    with _opened(settings) as engines, engines.writer.begin() as connection:
+    with _opened(settings, prepare_database) as engines, engines.writer.begin() as connection:
         created = create_token(connection, scope, name, None if days is None else timedelta(days=days))
     echo(created)
     echo(
@@ -313,21 +312,14 @@ def list_(database: Database = None, as_json: AsJson = False) -> None:
 
     Example: brink token list
     """
-    settings = settings_with(database=database)
-    check_database(settings)
-    with _opened(settings) as engines, engines.writer.begin() as connection:
+    with _opened(settings_with(database=database)) as engines, engines.writer.begin() as connection:
         found = list_tokens(connection)
     if as_json:
+        times = ("created_at", "expires_at", "revoked_at")
         print_json(
             [
-                {
-                    "id": one.id,
-                    "name": one.name,
-                    "scope": one.scope,
-                    "created_at": one.created_at.isoformat(),
-                    "expires_at": one.expires_at.isoformat() if one.expires_at else None,
-                    "revoked_at": one.revoked_at.isoformat() if one.revoked_at else None,
-                }
+                fields(one, "id", "name", "scope")
+                | {name: at and at.isoformat() for name, at in fields(one, *times).items()}
                 for one in found
             ]
         )
@@ -355,8 +347,6 @@ def revoke(
 
     Example: brink token revoke 1f3a90bc
     """
-    settings = settings_with(database=database)
-    check_database(settings)
-    with _opened(settings) as engines, engines.writer.begin() as connection:
+    with _opened(settings_with(database=database)) as engines, engines.writer.begin() as connection:
         revoke_token(connection, token_id)
     console().print(f"token {token_id} will be rejected within {TOKEN_CACHE_S:g} s")

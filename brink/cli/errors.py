@@ -127,8 +127,10 @@ def compare(
 
 def show_violations(found: Sequence[Violations]) -> None:
     """Print how many drives violate, a row for each campaign."""
-    table = plain_table("campaign", "problem", "drives", "violate", "share", right=("drives", "violate"))
-    for each in found:
-        fits = f" (with the spread of {each.replicates} fits)" if each.replicates > 1 else ""
-        table.add_row(each.name, each.problem, f"{each.drives:,}", f"{each.unsafe:,}", f"{each.words}{fits}")
-    console().print(table)
+    fits = [f" (with the spread of {one.replicates} fits)" if one.replicates > 1 else "" for one in found]
+    rows = [
+        (one.name, one.problem, f"{one.drives:,}", f"{one.unsafe:,}", f"{one.words}{spread}")
+        for one, spread in zip(found, fits, strict=True)
+    ]
+    numbers = ("drives", "violate")
+    console().print(plain_table("campaign", "problem", *numbers, "share", right=numbers, rows=rows))

@@ -150,9 +150,8 @@ def _print_status(progress: ExperimentProgress, found: ExperimentView) -> None:
         + ", ".join([f"{progress.simulations:,} of {progress.budget:,} simulations", *rate_parts(progress)])
     )
     numbers = ("simulations", "unsafe", "failed")
-    table = plain_table("campaign", "method", "problem", "seed", "status", *numbers, right=("seed", *numbers))
-    for one in found.members:
-        table.add_row(
+    rows = [
+        (
             one.campaign,
             one.method,
             one.problem,
@@ -162,7 +161,10 @@ def _print_status(progress: ExperimentProgress, found: ExperimentView) -> None:
             f"{one.unsafe:,}",
             f"{one.failed:,}",
         )
-    console().print(table)
+        for one in found.members
+    ]
+    columns = ("campaign", "method", "problem", "seed", "status", *numbers)
+    console().print(plain_table(*columns, right=("seed", *numbers), rows=rows))
     if progress.deleted:
         console().print(f"{progress.deleted} of its campaigns have been deleted")
 
@@ -319,15 +321,18 @@ def list_(database: Database = None, server: Server = None, as_json: AsJson = Fa
 
     Example: brink experiment list
     """
-    document = with_api(server, database, lambda api: api.get("/experiments", {"limit": 100}))
+
+    async def work(api: Api) -> list[ExperimentSummary]:
+        pages = api.pages(ExperimentList, "/experiments", {"limit": 100})
+        return [one async for page in pages for one in page.experiments]
+
+    found = with_api(server, database, work)
     if as_json:
-        print_json(document["experiments"])
+        print_json([one.model_dump(mode="json") for one in found])
         return
-    found = ExperimentList.model_validate(document).experiments
     numbers = ("campaigns", "simulations")
-    table = plain_table("id", "name", "status", *numbers, "submitted", right=numbers)
-    for one in found:
-        table.add_row(
+    rows = [
+        (
             one.id,
             one.name,
             one.status,
@@ -335,4 +340,7 @@ def list_(database: Database = None, server: Server = None, as_json: AsJson = Fa
             f"{one.simulations:,} of {one.budget:,}",
             f"{one.created_at:%Y-%m-%d %H:%M}",
         )
+        for one in found
+    ]
+    table = plain_table("id", "name", "status", *numbers, "submitted", right=numbers, rows=rows)
     console().print(table if found else "no experiments yet")

@@ -164,19 +164,19 @@ def _print_repeats(screen: Console, view: RepeatsView) -> None:
     if not evaluated:
         return
     columns = ("solution", "simulated", "unsafe", "probability", "interval", "neighbourhood")
-    table = plain_table(*columns, "", right=columns)
-    for one in sorted(evaluated, key=_probability, reverse=True)[:SOLUTIONS_SHOWN]:
-        around = "–" if one.around is None else f"{one.around_low:.2f} to {one.around_high:.2f}"
-        table.add_row(
+    rows = [
+        (
             str(one.number),
             str(one.evaluated),
             str(one.unsafe),
             f"{one.probability:.2f}",
             f"{one.low:.2f} to {one.high:.2f}",
-            around,
-            one.conclusion,
+            "–" if one.around is None else f"{one.around_low:.2f} to {one.around_high:.2f}",
+            one.conclusion or "",
         )
-    screen.print(table)
+        for one in sorted(evaluated, key=_probability, reverse=True)[:SOLUTIONS_SHOWN]
+    ]
+    screen.print(plain_table(*columns, "", right=columns, rows=rows))
     if len(evaluated) > SOLUTIONS_SHOWN:
         screen.print(f"and {len(evaluated) - SOLUTIONS_SHOWN} less likely ones: --json prints them all")
 

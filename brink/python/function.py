@@ -6,10 +6,10 @@ from typing import Any
 
 from brink.api.follow_ups import OPEN
 from brink.api.live import failures_of
+from brink.python.campaign import Start, started
 from brink.python.connection import environment_with
 from brink.python.local import run_body
 from brink.python.result import AsyncResult, CampaignUnfinished, Result, check_finished
-from brink.python.start import Start, started
 from brink.python.synchronous import synchronous
 from brink.search.errors import SpaceError
 from brink.search.shorthand import DeclaredSpace, space_of

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
+from brink.python.campaign import known_from, start_of
 from brink.python.frames import archive_frame, parameter_columns, typed_frame
-from brink.python.start import known_from, start_of
 from brink.search.algorithm import (
     AnyAlgorithm,
     Candidate,

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from brink.api.client import Api
+from brink.api.client import Api, CoordinatorError
 from brink.api.results import UNDRAWABLE, read_all_pairs
 from brink.report.campaign_facts import Facts
 from brink.report.campaign_sections import Album, Article, Section
