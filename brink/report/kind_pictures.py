@@ -26,7 +26,7 @@ from brink.server.findings.boundary.views import Boundary
 from brink.server.findings.combinations.views import Combinations
 from brink.server.findings.finding import Finding, Role, Term
 from brink.server.findings.pairs.views import PairsView, PairView, SideView
-from brink.server.findings.pairs.words import extent_words, share_words
+from brink.server.findings.pairs.words import extent_words
 from brink.server.findings.tolerances.views import ToleranceView
 from brink.server.findings.violations.views import TypeView, Violations
 from brink.server.findings.words import counted
@@ -136,12 +136,11 @@ class _Pairs(KindPictures):
         noun = self._facts.noun
         words = f"Pair {pair.place}: both {noun}s side by side. {pair.words}"
         picture = album(f"pair-{pair.place}.png", words)
-        again = pair.confirmation
         return Article(
             title=f"Pair {pair.place}: {as_sentence(pair.change)}",
             common=f"In both: {pair.common}" if pair.common else "",
-            safe=_side_words(noun, pair.safe, share_words(again.safe)),
-            unsafe=_side_words(noun, pair.unsafe, share_words(again.unsafe)),
+            safe=_side_words(noun, pair.safe),
+            unsafe=_side_words(noun, pair.unsafe),
             chips=[*pair.evidence, *filter(None, (extent_words(pair), pair.moved))],
             sentences=[*pair.shown, *pair.facts],
             picture=picture[0] if picture else None,
@@ -161,9 +160,9 @@ async def _distinct_pairs(api: Api, campaign: str, view: PairsView) -> str:
     return counted(there.distinct, "distinct pair")
 
 
-def _side_words(noun: str, side: SideView, again: str) -> str:
+def _side_words(noun: str, side: SideView) -> str:
     """Return what happened in a drive, and how often it was unsafe when it was simulated again."""
-    return ". ".join(filter(None, (f"{noun} {side.number}: {side.outcome}", as_sentence(again))))
+    return ". ".join(filter(None, (f"{noun} {side.number}: {side.outcome}", as_sentence(side.again))))
 
 
 class _Tolerances(KindPictures):

@@ -17,7 +17,6 @@ from brink.api.results import (
 )
 from brink.pictures import DrivePair, Side, render_pair
 from brink.server.findings.pairs.views import PairsView, PairView
-from brink.server.findings.pairs.words import share_words
 from brink.server.problems.changes import as_sentence
 
 FILMS: Final = (".mp4", ".gif")
@@ -74,15 +73,14 @@ async def _drives(
     if view.computed:
         raise NothingToReplay("verdicts are computed, so there is no drive to film: ask for --picture")
     sides: list[Side] = []
-    again = pair.confirmation
-    for side, share in ((pair.safe, again.safe), (pair.unsafe, again.unsafe)):
+    for side in (pair.safe, pair.unsafe):
         show(f"simulating both drives of pair {pair.place} again", len(sides), 2)
         trace = (
             await fetch_trace(api, view.campaign, side.number, TRACE_TIMEOUT_S)
             if workers
             else await run_episode(api, view.campaign, side.number)
         )
-        sides.append(Side(number=side.number, trace=trace, outcome=side.outcome, again=share_words(share)))
+        sides.append(Side(number=side.number, trace=trace, outcome=side.outcome, again=side.again))
     return DrivePair(
         safe=sides[0],
         unsafe=sides[1],

@@ -92,6 +92,12 @@ class Finding(View):
         str,
         Field(description="Address of a page of the dashboard with all of it, without `#/`; empty for none."),
     ] = ""
+    rings: Annotated[
+        list[list[int]],
+        Field(
+            description="The solutions of each, for rings on a map, in order; empty if it is no result of its own."
+        ),
+    ] = Field(default_factory=list)
     is_empty: Annotated[bool, Field(description="Whether nothing of the kind was found.")] = False
     view: Annotated[
         Any, Field(description="Details that only this kind has; see its schema in the documentation.")

@@ -32,6 +32,9 @@ from brink.sim.catalogue import load_plugin, plugin_ids
 
 T = TypeVar("T")
 
+MOST_RINGS: Final = 1_000
+"""Most rings that a map shows."""
+
 FINDINGS: Final = "brink.findings"
 """Entry-point group of kinds: each loads a subclass of `Kind`."""
 NOTHING: Final[Mapping[str, str]] = MappingProxyType({})

@@ -86,6 +86,12 @@ class Table(View):
     columns: list[Column]
     rows: Annotated[list[list[Cell]], Field(description="One value per column.")]
     left_out: Annotated[int, Field(description="Rows that were left out, after these.")] = 0
+    file: Annotated[
+        str,
+        Field(
+            description="Path of a file with more columns, below the campaign's and with a query; empty for none."
+        ),
+    ] = ""
 
     @property
     def shown(self) -> list[Column]:

@@ -23,7 +23,7 @@ def page(site: Served, browse: Browse) -> Page:
     """The page of the urban campaign, with its map drawn and its table filled."""
     page = browse(loose(site.urban))
     shown(page.get_by_text("40 solutions.")).to_be_visible()
-    shown(page.locator("table.boundary tbody tr").first).to_be_visible()
+    shown(page.locator("section[aria-label='The boundary'] tbody tr").first).to_be_visible()
     return page
 
 
@@ -58,16 +58,17 @@ def test_the_map_is_coloured_by_a_parameter_and_remembers_it(page: Page, chart: 
 
 def test_the_table_of_boundary_solutions_is_filtered_and_sorted(site: Served, page: Page) -> None:
     solutions = boundary(site)["solutions"]
-    region = page.get_by_role("region", name="Boundary solutions", exact=True)
+    region = page.get_by_role("region", name="The boundary", exact=True)
     rows = region.locator("tbody tr")
-    shown(region.locator("caption")).to_contain_text(f"{len(solutions)} distinct boundary solutions")
+    shown(region).to_contain_text(f"{len(solutions)} distinct boundary solutions")
 
     unsafe = [one for one in solutions if one["verdict"] == "unsafe"]
     assert 0 < len(unsafe) <= 12, "one page of the table"
-    region.get_by_label("Outcome").select_option("violated")
+    region.get_by_label("Find").fill("unsafe")
+    shown(region.get_by_text(f"{len(unsafe)} of {len(solutions)} rows match.")).to_be_visible()
     shown(rows).to_have_count(len(unsafe))
-    shown(region.get_by_text(f"{len(unsafe)} of {len(solutions)} match.")).to_be_visible()
-    region.get_by_label("Outcome").select_option("")
+    region.get_by_label("Find").fill("safe")
+    shown(region.get_by_text(f"{len(solutions) - len(unsafe)} of {len(solutions)} rows")).to_be_visible()
 
     number = solutions[-1]["number"]
     region.get_by_label("Find").fill(str(number))
@@ -78,13 +79,13 @@ def test_the_table_of_boundary_solutions_is_filtered_and_sorted(site: Served, pa
     shown(region.get_by_role("columnheader", name="Robustness")).to_have_attribute("aria-sort", "ascending")
     least = min(solutions, key=lambda one: (one["robustness"], one["number"]))
     shown(rows.first.get_by_role("link")).to_have_text(str(least["number"]))
-    region.get_by_role("button", name="Show more").click()
-    shown(rows).to_have_count(min(24, len(solutions)))
+    region.get_by_role("button", name=f"Show all {len(solutions)} rows").click()
+    shown(rows).to_have_count(len(solutions))
 
 
 def test_the_boundary_is_saved_as_csv_as_the_api_tells_it(site: Served, page: Page) -> None:
     with page.expect_download() as coming:
-        page.get_by_role("button", name="CSV").click()
+        page.get_by_role("region", name="The boundary", exact=True).get_by_role("button", name="CSV").click()
     assert coming.value.suggested_filename == f"boundary-{site.urban}.csv"
     saved = Path(coming.value.path()).read_text(encoding="utf-8")
     assert (
@@ -103,12 +104,14 @@ def test_new_thresholds_change_curve_and_table_and_are_kept_in_the_url(site: Ser
     curve.get_by_label("t_b").press("Enter")
     curve.get_by_label("d_th").fill("0")
     curve.get_by_label("d_th").press("Enter")
-    table = page.get_by_role("region", name="Boundary solutions", exact=True)
-    shown(table.locator("caption")).to_contain_text(f"{boundary(site)['dbs']} distinct boundary solutions")
-    shown(curve.get_by_text("neighbourhoods without a single unsafe solution")).to_be_visible()
+    table = page.get_by_role("region", name="The boundary", exact=True)
+    shown(table).to_contain_text(f"{boundary(site)['dbs']} distinct boundary solutions")
+    table.get_by_text("How to read it").click()
+    shown(table.get_by_text("neighbourhoods without a single unsafe solution")).to_be_visible()
     assert page.url.endswith("?t_b=1&d_th=0")
     curve.get_by_role("button", name="Defaults").click()
-    shown(table.locator("caption")).to_contain_text("t_b 0.1, d_th 0.2")
+    shown(table).to_have_count(0)
+    shown(page.get_by_role("region", name="Finding")).to_contain_text("0 distinct boundary solutions")
 
 
 SLOW = """part => {
@@ -127,14 +130,14 @@ def test_a_threshold_that_changes_while_the_last_one_is_loading_does_not_wait(
     page = browse(f"#/campaigns/{site.urban}")
     curve = page.get_by_role("region", name="Boundary solutions against the number of simulations")
     shown(curve.get_by_text("a fitness of at most t_b")).to_be_visible()
-    page.evaluate(SLOW, "/boundary?t_b=1&d_th=0.2")
+    page.evaluate(SLOW, "/findings/boundary?t_b=1&d_th=0.2")
     for name, value in (("t_b", "1"), ("d_th", "0")):
         curve.get_by_label(name).fill(value)
         curve.get_by_label(name).press("Enter")
-    caption = page.get_by_role("region", name="Boundary solutions", exact=True).locator("caption")
-    shown(caption).to_contain_text("t_b 1, d_th 0:", timeout=12_000)
+    card = page.get_by_role("region", name="The boundary", exact=True)
+    shown(card).to_contain_text("fitness at most 1, at least 0 apart", timeout=12_000)
     curve.get_by_role("button", name="Defaults").click()
-    shown(caption).to_contain_text("t_b 0.1, d_th 0.2")
+    shown(card).to_have_count(0)
 
 
 def test_a_campaign_is_paused_resumed_and_cancelled(site: Served, browse: Browse) -> None:

@@ -36,7 +36,7 @@ def test_the_content_is_one_key_away(site: Served, visit: Visits) -> None:
 
 def test_the_tab_key_reaches_everything_and_shows_where_it_is(site: Served, browse: Browse) -> None:
     page = browse(loose(site.urban))
-    shown(page.locator("table.boundary tbody tr").first).to_be_visible()
+    shown(page.locator("section[aria-label='The boundary'] tbody tr").first).to_be_visible()
     shown(page.locator(".panel svg").first).to_be_visible()
     many = page.evaluate(COUNT, ABLE)
     assert many > 40

@@ -54,10 +54,10 @@ def test_the_finding_comes_first_then_what_to_do_then_the_map_and_delete_last(
     page = visit(origin(own), f"#/campaigns/{edge}")
     found = finding_of(own, edge)
     shown(page.get_by_role("region", name="Finding")).to_contain_text(found["words"])
-    for card in ("What to do next", "Map", "Pairs across the boundary", "Parameter dependence"):
+    for card in ("What to do next", "Map", "Pairs", "Parameter dependence"):
         shown(page.get_by_role("region", name=card, exact=True)).to_be_visible()
     cards = page.evaluate(BESIDE_CARDS)
-    assert cards[:4] == ["Finding", "What to do next", "Map", "Pairs across the boundary"]
+    assert cards[:4] == ["Finding", "What to do next", "Map", "Pairs"]
     assert cards[-2:] == ["Settings", "About the run"]
     shown(page.get_by_role("region", name="Finding")).not_to_contain_text("SHA-256")
     page.get_by_role("region", name="About the run").locator("summary").click()
@@ -116,4 +116,4 @@ def test_what_nobody_can_simulate_shows_no_empty_map(own: httpx.Client, visit: V
     page = visit(origin(own), f"#/campaigns/{campaign}")
     shown(page.get_by_text("a worker with the plug-in that provides nobody-has-it@1")).to_be_visible()
     shown(page.get_by_role("region", name="Map")).to_be_hidden()
-    shown(page.get_by_role("region", name="Pairs across the boundary")).to_be_hidden()
+    shown(page.get_by_role("region", name="Pairs")).to_be_hidden()

@@ -35,8 +35,8 @@ def solution(site: Served, browse: Browse) -> Page:
     """The page of an unsafe boundary solution, opened from the table, with its replay loaded."""
     number = unsafe_one(site)["number"]
     page = browse(loose(site.urban))
-    table = page.get_by_role("region", name="Boundary solutions", exact=True)
-    table.get_by_label("Outcome").select_option("violated")
+    table = page.get_by_role("region", name="The boundary", exact=True)
+    table.get_by_label("Find").fill(str(number))
     table.get_by_role("link", name=str(number), exact=True).click()
     shown(page.get_by_role("heading", name=f"Solution {number}", exact=True)).to_be_visible()
     shown(page.get_by_role("button", name="Play", exact=True)).to_be_visible(timeout=60_000)

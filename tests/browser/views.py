@@ -50,7 +50,12 @@ def views_of(
         View(
             name="campaign",
             place=f"#/campaigns/{campaign}{thresholds}",
-            ready=("table.boundary tbody tr", ".chart canvas", ".panel svg", ".legend li"),
+            ready=(
+                "section[aria-label='The boundary'] tbody tr",
+                ".chart canvas",
+                ".panel svg",
+                ".legend li",
+            ),
         ),
         View(name="new-campaign", place="#/new", ready=("text=Submit campaign",)),
         View(
@@ -58,7 +63,7 @@ def views_of(
             place=f"#/campaigns/{campaign}/solutions/{solution}",
             ready=("role=button[name='Play']", ".replay-map canvas"),
         ),
-        View(name="pairs", place=pairs, ready=("table.pairs tbody tr",)),
+        View(name="pairs", place=pairs, ready=("table.finding tbody tr",)),
         View(
             name="pair",
             place=pair,

@@ -76,8 +76,6 @@ def boundary_view(
     archive, chosen = read.archive, boundary.chosen
     is_strict = has_evidence(archive)[chosen]
     numbers = [int(number) for number in archive.numbers[chosen[:limit]]]
-    strict = [number for number, is_one in zip(numbers, is_strict[:limit], strict=True) if is_one]
-    solutions = solutions_of(connection, campaign, read, numbers, full=True, rated=True)
     return Boundary(
         t_b=t_b,
         d_th=d_th,
@@ -85,26 +83,28 @@ def boundary_view(
         strict_dbs=boundary.counts.strict,
         words=listed_words(len(numbers), len(chosen)),
         note=boundary_note(campaign, read, boundary, t_b),
-        table=boundary_table(solutions, strict, len(chosen)),
         grid=[
             DbsCell(t_b=t, d_th=d, dbs=int(grid.dbs[row, column]), strict_dbs=int(grid.strict[row, column]))
             for row, t in enumerate(grid.t_bs)
             for column, d in enumerate(grid.d_ths)
         ],
-        solutions=solutions,
-        strict=strict,
+        solutions=solutions_of(connection, campaign, read, numbers, full=True, rated=True),
+        strict=[number for number, strict in zip(numbers, is_strict[:limit], strict=True) if strict],
         within_budget=_within_budget(campaign, archive, boundary),
         with_known=_with_known(read, boundary),
     )
 
 
-def boundary_table(solutions: Sequence[SolutionView], strict: Collection[int], distinct: int) -> Table:
+def boundary_table(
+    solutions: Sequence[SolutionView], strict: Collection[int], distinct: int, file: str
+) -> Table:
     """Return boundary solutions as a table.
 
     Args:
         solutions: The solutions, best first.
         strict: Numbers of those that the strict DBS counts.
         distinct: How many there are.
+        file: Path of a file with all their parameters.
     """
     return Table(
         name="boundary",
@@ -126,6 +126,7 @@ def boundary_table(solutions: Sequence[SolutionView], strict: Collection[int], d
             for one in solutions
         ],
         left_out=distinct - len(solutions),
+        file=file,
     )
 
 

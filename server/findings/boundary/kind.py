@@ -15,7 +15,7 @@ from brink.server.findings.boundary.analysis import boundary_note, boundary_tabl
 from brink.server.findings.boundary.repeats import DEFAULT_REPEATS
 from brink.server.findings.finding import Finding, Step, StepRequest, Term
 from brink.server.findings.follow_ups import follow_up_view
-from brink.server.findings.kind import Kind, Listed, Settings, Subject
+from brink.server.findings.kind import MOST_RINGS, Kind, Listed, Settings, Subject
 from brink.server.findings.solutions import solutions_of
 from brink.server.findings.words import counted, listed_words
 from brink.server.states import FollowUpKind, Selection
@@ -66,8 +66,9 @@ class BoundaryKind(Kind):
                 "boundary",
                 boundary_note(subject.campaign, read, boundary, t_b),
             ],
+            rings=[[int(number)] for number in read.archive.numbers[boundary.chosen[:MOST_RINGS]]],
             is_empty=not distinct,
-            tables=[boundary_table(solutions, marked, distinct)],
+            tables=[boundary_table(solutions, marked, distinct, f"boundary?t_b={t_b:g}&d_th={d_th:g}")],
             steps=self._steps(subject, distinct, strict),
         )
 

@@ -4,7 +4,6 @@ from typing import Annotated
 
 from pydantic import Field
 
-from brink.server.findings.table import Table
 from brink.server.views import SolutionView, View
 
 
@@ -51,7 +50,6 @@ class Boundary(View):
         ),
     ] = ""
     note: str
-    table: Annotated[Table | None, Field(description="The solutions as a table.")] = None
     grid: Annotated[
         list[DbsCell],
         Field(description="DBS at all thresholds, without distances at which it takes too long."),

@@ -100,8 +100,7 @@ class CombinationsKind(Kind):
 def _figures(view: Combinations) -> list[Term]:
     """Return how many of the chains that were simulated often enough are hazardous."""
     judged = [one.hazardous for one in view.combinations if one.trials >= MIN_PLACES]
-    words = f"chains of changes hazardous, driven in {MIN_PLACES} streets or more"
-    return [Term(term=f"{sum(judged):,} of {len(judged):,}", words=words)]
+    return [Term(term=f"{sum(judged):,} of {len(judged):,}", words="chains of changes are hazardous")]
 
 
 def chains_table(view: Combinations, rows: int | None = None) -> Table:

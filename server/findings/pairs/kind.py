@@ -16,7 +16,7 @@ from brink.server.campaigns.store import ENDED
 from brink.server.errors import InvalidInput
 from brink.server.findings.finding import Finding, Role, Step, StepRequest
 from brink.server.findings.follow_ups import follow_up_view
-from brink.server.findings.kind import Kind, Listed, Settings, Subject
+from brink.server.findings.kind import MOST_RINGS, Kind, Listed, Settings, Subject
 from brink.server.findings.pairs.analysis import pairs_view
 from brink.server.findings.pairs.table import pairs_table
 from brink.server.findings.pairs.views import BestPair, FollowUpOffer, PairsFound, PairsView, PairView
@@ -26,7 +26,6 @@ from brink.server.states import Selection
 
 MOST_SOLUTIONS: Final = 20_000
 """Largest archive that is searched for pairs for a list; a campaign's page has those of others."""
-MOST_RINGS: Final = 1_000
 BEST: Final = 2
 
 
@@ -71,7 +70,7 @@ class PairsKind(Kind):
             ),
         )
         sides = (
-            [(pair.safe.number, pair.unsafe.number) for pair in pairs.found.pairs] if view.searched else []
+            [[pair.safe.number, pair.unsafe.number] for pair in pairs.found.pairs] if view.searched else []
         )
         caveats = []
         if view.searched and view.distinct:  # what the outcomes say already is left out
@@ -90,11 +89,10 @@ class PairsKind(Kind):
             caveats=[words for words in map(str.rstrip, caveats) if words],
             trust=trust(view, has_component=subject.plan.problem.has_component),
             legend=[meaning(view, subject.noun), *view.legend] if view.pairs else [],
+            rings=sides[:MOST_RINGS],
             page=f"{subject.path}/pairs",
             is_empty=not view.distinct,
             view=PairsFound(
-                distinct=view.distinct,
-                rings=sides[:MOST_RINGS],
                 replayable=view.replayable,
                 best=[_best_pair(pair) for pair in view.pairs[:BEST]],
                 rule=_rule_words(view),

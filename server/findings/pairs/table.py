@@ -5,8 +5,7 @@ from typing import Final
 
 from brink.search.space import SearchSpace
 from brink.server.findings.boundary.table import parameter_columns
-from brink.server.findings.pairs.views import PairsView, PairView
-from brink.server.findings.pairs.words import share_words
+from brink.server.findings.pairs.views import MOST_PAIRS, PairsView, PairView
 from brink.server.findings.table import Cell, Column, Format, Row, Table, table_bytes
 from brink.server.problems.changes import as_sentence
 
@@ -86,9 +85,9 @@ def pairs_table(view: PairsView, rows: int | None = None) -> Table:
                 pair.moved,
                 f"in both: {pair.common}" if pair.common else "",
                 pair.unsafe.outcome,
-                share_words(pair.confirmation.unsafe),
+                pair.unsafe.again,
                 pair.safe.outcome,
-                share_words(pair.confirmation.safe),
+                pair.safe.again,
                 str(pair.confirmation.state),
                 ", ".join(pair.evidence),
                 pair.safe.number,
@@ -100,6 +99,7 @@ def pairs_table(view: PairsView, rows: int | None = None) -> Table:
             for pair in shown
         ],
         left_out=view.distinct - len(shown),
+        file=f"pairs?eps={view.eps:g}&d_th={view.d_th:g}&limit={MOST_PAIRS}",
     )
 
 

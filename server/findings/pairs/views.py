@@ -156,6 +156,10 @@ class SideView(View):
     ]
     kind: OutcomeKind
     words: Annotated[str, Field(description="Description of the solution.")]
+    again: Annotated[
+        str,
+        Field(description="How often it was unsafe with other seeds, in words; empty if that was not tried."),
+    ] = ""
     parameters: Annotated[
         dict[str, dict[str, Any]],
         Field(description="Values by component, then by name, as they were chosen."),
@@ -441,11 +445,6 @@ class BestPair(View):
 class PairsFound(View):
     """Details that only pairs have: the solutions of each pair, and the best pairs for pictures."""
 
-    distinct: Annotated[int, Field(description="Distinct pairs at the campaign's own settings.")]
-    rings: Annotated[
-        list[tuple[int, int]],
-        Field(description="The sides of each of them, by place; empty if the search was not for pairs."),
-    ]
     replayable: Annotated[bool, Field(description="Whether drives are recorded, so that they can be drawn.")]
     best: Annotated[
         list[BestPair],

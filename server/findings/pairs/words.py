@@ -42,6 +42,8 @@ def in_words(pair: PairView, *, computed: bool) -> PairView:
             "evidence": tuple(_evidence(pair, computed=computed)),
             "shown": tuple(_shown(pair)),
             "facts": tuple(_facts(pair, computed=computed)),
+            "safe": pair.safe.model_copy(update={"again": share_words(pair.confirmation.safe)}),
+            "unsafe": pair.unsafe.model_copy(update={"again": share_words(pair.confirmation.unsafe)}),
         }
     )
 

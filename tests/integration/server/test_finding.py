@@ -33,6 +33,12 @@ def of_pairs(found: dict[str, Any]) -> dict[str, Any]:
     return view
 
 
+def rings(found: dict[str, Any], kind: str) -> list[list[int]]:
+    """Return the solutions of each finding of a kind."""
+    solutions: list[list[int]] = next(one["rings"] for one in found["findings"] if one["kind"] == kind)
+    return solutions
+
+
 def kinds(found: dict[str, Any]) -> list[str]:
     return [step["kind"] for step in found["steps"]]
 
@@ -53,7 +59,7 @@ def test_a_search_for_the_boundary_says_how_many_solutions_it_found_and_asks_whe
     found = finding(client, campaign)
     assert found["words"].startswith(f"{boundary['dbs']} distinct boundary solution")
     assert found["words"].endswith(f"{boundary['strict_dbs']} of them strict.")
-    assert (found["complete"], of_pairs(found)["rings"]) == (True, [])
+    assert (found["complete"], rings(found, "pairs")) == (True, [])
     repeat = found["steps"][0]
     assert (repeat["kind"], repeat["command"]) == ("repeat", f"brink repeats {campaign}")
     assert f"{50 * boundary['dbs']:,} simulations" in repeat["words"]
@@ -78,9 +84,9 @@ def test_a_search_for_pairs_says_how_many_it_found_and_asks_what_has_not_been_as
     assert pairs["distinct"] > 1
     found = finding(client, campaign)
     assert found["words"].lower() == f"{pairs['note'].lower()}."
-    assert of_pairs(found)["distinct"] == pairs["distinct"] == len(of_pairs(found)["rings"])
+    assert pairs["distinct"] == len(rings(found, "pairs"))
     sides = [[pair["safe"]["number"], pair["unsafe"]["number"]] for pair in pairs["pairs"]]
-    assert of_pairs(found)["rings"] == sides
+    assert rings(found, "pairs") == sides
     assert [[one["safe"], one["unsafe"]] for one in of_pairs(found)["best"]] == sides[:2]
     assert of_pairs(found)["best"][0]["words"] == pairs["pairs"][0]["words"]
     assert "confirm" in kinds(found)
@@ -126,7 +132,7 @@ def test_the_best_pairs_are_confirmed_ones_and_refuted_ones_come_last(client: ht
     assert "confirmed 0/15 15/15" in of_pairs(found)["best"][0]["evidence"]
     assert "unsafe drive in 15 of 15." in of_pairs(found)["best"][0]["shares"]
     assert (of_pairs(found)["best"][1]["state"], of_pairs(found)["best"][1]["shares"]) == ("not tried", "")
-    assert of_pairs(found)["rings"][0] == [pairs[0]["safe"]["number"], pairs[0]["unsafe"]["number"]], (
+    assert rings(found, "pairs")[0] == [pairs[0]["safe"]["number"], pairs[0]["unsafe"]["number"]], (
         "places stay"
     )
     assert "with an error rate of 5%" in of_pairs(found)["rule"]
@@ -136,7 +142,7 @@ def test_without_a_pair_the_next_step_is_a_larger_budget(client: httpx.Client) -
     tight = {"id": "edge@1", "params": {"eps": 0.000001, "d_th": 0.1}}
     campaign = finish(client, ball(algorithm=tight, simulations=20))
     found = finding(client, campaign)
-    assert of_pairs(found)["distinct"] == 0
+    assert rings(found, "pairs") == []
     assert [(step["kind"], step["place"]) for step in found["steps"]] == [
         ("longer", f"new?from={campaign}&simulations=80")
     ]

@@ -32,12 +32,6 @@ export function figure(value, digits = 3) {
   return minus(String(Number(value.toPrecision(digits))));
 }
 
-/** A difference with its sign and three decimals: ``+0.046``, ``−0.120``, ``0.000``. */
-export function signed(value) {
-  const written = Math.abs(value).toFixed(3);
-  return Number(written) === 0 ? written : `${value < 0 ? "−" : "+"}${written}`;
-}
-
 /** A share as per cent: ``7%``, ``0.4%``. */
 export function percent(share) {
   if (share === null || share === undefined || Number.isNaN(share)) return "–";

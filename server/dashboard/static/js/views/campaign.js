@@ -6,17 +6,13 @@ import { clause, plural, sentence, when } from "../format.js";
 import { go, link } from "../router.js";
 import { badge, callout, sure, waitsFor, workerCommand } from "../parts/elements.js";
 import { steering } from "./campaigns.js";
-import { aboutCard, boundaryCard, dependenceCard, repeatsCard, settingsCard } from "./campaign/cards.js";
+import { aboutCard, dependenceCard, repeatsCard, settingsCard } from "./campaign/cards.js";
 import { convergenceCards, Generations } from "./campaign/convergence.js";
-import { finding, viewOf } from "./campaign/finding.js";
+import { finding } from "./campaign/finding.js";
+import { total } from "../parts/tables.js";
 import { kindCards } from "./campaign/kinds.js";
 import { labels } from "./campaign/labels.js";
 import { mapCard } from "./campaign/map_card.js";
-import { pairsCard } from "./pairs.js";
-import { toleranceCard } from "./tolerance.js";
-
-/** Kinds of findings with a card of their own on the page; any other is shown from its sentence and its tables. */
-const APART = ["pairs", "boundary", "tolerances", "verdicts"];
 
 export async function show(main, context, { parts, query }) {
   const [campaign, problems, algorithms] = await Promise.all([
@@ -33,20 +29,17 @@ export async function show(main, context, { parts, query }) {
   const notes = h("div");
   const labelled = labels(context, id, () => polling.now());
   const map = mapCard(context, id, query);
-  const kinds = kindCards(context, id, APART);
+  const convergence = convergenceCards(context, id, query, campaign.thresholds);
+  let ringed = null; // the kind whose results have rings on the map
+  const kinds = kindCards(context, id, { boundary: convergence.chosen }, (one) => {
+    if (one.kind === ringed) map.ring(one.rings, total(one.tables[0]));
+  });
   const opening = finding(context, id, (read) => {
-    const pairs = viewOf(read, "pairs");
-    if (pairs?.rings.length) map.ring(pairs.rings, pairs.distinct);
+    ringed = read.findings.find((one) => one.rings.length)?.kind ?? null;
+    if (read.exclusive) map.before(kinds);
     kinds.update(read);
   }, () => polling.now());
-  const convergence = convergenceCards(context, id, query, campaign.thresholds);
-  const boundary = boundaryCard(context, id, campaign.thresholds, (read, searchedForPairs) => {
-    if (!searchedForPairs) map.ring(read.solutions.map((one) => [one.number]), read.dbs);
-    convergence.explain(read.note);
-  });
   const found = repeatsCard(context, id);
-  const tolerance = toleranceCard(context, id, problems);
-  const pairs = pairsCard(context, id);
   const dependence = dependenceCard(context, id, map.parameters);
   const about = aboutCard(algorithm);
   const removing = h("span");
@@ -57,7 +50,7 @@ export async function show(main, context, { parts, query }) {
     labelled,
     notes,
     h("div.stack", null,
-      opening, tolerance, map, pairs, boundary, kinds, found, dependence, convergence.card,
+      opening, map, kinds, found, dependence, convergence.card,
       settingsCard(body, { problems, algorithms }), about,
       h("p.hint", null, `Campaign ${id}, submitted ${when(campaign.created_at)}. `,
         h("button.quiet", { type: "button", onclick: () => context.tell(() => download(`campaigns/${id}/archive.npz`, `archive-${id}.npz`)) }, "All solutions (npz)"), removing)));
@@ -65,8 +58,7 @@ export async function show(main, context, { parts, query }) {
   const polling = context.watch(() => `campaigns/${id}/progress?since=${generations.next}`, take, {
     busy: (read) => read.status === "running",
   });
-  // The table of boundary solutions follows the thresholds of the curve.
-  context.thresholds = () => boundary.news(generations.next, convergence.thresholds(), { atOnce: true });
+  context.thresholds = kinds.refresh; // the table of boundary solutions follows the thresholds of the curve
   let steered = "";
 
   function take(read) {
@@ -83,13 +75,10 @@ export async function show(main, context, { parts, query }) {
       if (inside) actions.querySelector("button")?.focus();
       replace(removing, context.may.remove && ended && remover());
     }
-    opening.news(read, generations);
+    opening.news(read);
     map.news(`${read.generation} ${read.simulations}`, { boundary: read?.finds[0] === "boundary" });
     convergence.news(read, generations);
-    if (read.finds.includes("boundary") && read.evaluated) boundary.news(read.generation, convergence.thresholds(), { searchedForPairs: read.finds[0] === "pairs" });
     found.news(`${read.sequence}`);
-    if (read.finds[0] === "tolerances" && read.evaluated) tolerance.news(`${read.generation} ${ended}`);
-    if (read.evaluated && read.finds[0] !== "tolerances") pairs.news(`${read.generation} ${ended}`);
     if (read.evaluated) dependence.news(read.generation);
     about.update(read, generations);
   }

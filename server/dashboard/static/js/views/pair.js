@@ -7,7 +7,7 @@ import { link } from "../router.js";
 import { badge, requirementBadge } from "../parts/elements.js";
 import { askedFor, pairLink, pairsPath } from "./pairs.js";
 import { differingSpans, overTime } from "./pair/chart.js";
-import { differences, evidence, evidenceWords, findingsAtLength, said, share } from "./pair/words.js";
+import { differences, said } from "./pair/words.js";
 import { camera } from "./solution/camera.js";
 import { Episode, Player, seconds } from "./solution/episode.js";
 import { loading } from "./solution/replay.js";
@@ -54,12 +54,13 @@ export async function show(main, context, { parts, query }) {
 
   /** Show the evidence for the pair, which follow-ups extend. */
   function tell(now) {
-    replace(known, evidence(now, read.computed));
-    replace(change, h("h2", null, "The change"), h("p.lead", null, said(now.change)), now.moved && h("p", null, h("strong", null, "How far: "), `${now.moved}.`),
+    replace(known, now.evidence.map((words) => [badge(words.split(" ")[0], words), " "]));
+    replace(change, h("h2", null, "The change"), h("p.lead", null, said(now.change)),
       h("p", null, h("strong", null, "What it does: "), `${now.unsafe.outcome}; without it: ${now.safe.outcome}.`),
-      h("p.hint", null, [seeds(now, read.computed), evidenceWords(now, read)].filter(Boolean).join(" ")),
-      findingsAtLength(now),
-      h("p.hint", null, h("a", { href: link("campaigns", id, "pairs", asked) }, "Ask more about the pairs")));
+      now.shown.map((words) => h("p", null, words)),
+      h("p", null, now.facts.join(" "), now.same_seed && !read.computed && " Both drives have the same episode seed: without the change they would be identical."),
+      h("p.hint", null, followed(now).map(([solution, words]) => [h("a", { href: link("campaigns", solution.campaign, "solutions", solution.number) }, words), " · "]),
+        h("a", { href: link("campaigns", id, "pairs", asked) }, "Ask more about the pairs")));
     replace(sides, SIDES.map((name) => sideCard(id, name, now, read)));
   }
 
@@ -74,9 +75,12 @@ function gone(id, numbers) {
     h("p", null, h("a", { href: link("campaigns", id, "pairs") }, "All pairs"), numbers.filter(Number.isInteger).map((number) => [" · ", h("a", { href: link("campaigns", id, "solutions", number) }, `Solution ${number}`)])));
 }
 
-function seeds(pair, computed) {
-  if (computed) return "";
-  return pair.same_seed ? "Both drives have the same episode seed: without the change they would be identical." : "The drives have different episode seeds, so chance differs too.";
+/** Return the drives that follow-ups simulated, with words for links. */
+function followed({ component, minimality }) {
+  return [
+    component.outcome && [component, "Drive with ground truth"],
+    minimality.unsafe && [{ campaign: minimality.campaign, number: minimality.unsafe.number }, "Drive with the smaller change"],
+  ].filter(Boolean);
 }
 
 /** Return the card of one side: what happened, how often it is unsafe, and a link to its own page. */
@@ -85,7 +89,7 @@ function sideCard(id, name, pair, { computed, replayable }) {
   return h("section.card", { class: `side ${name}`, "aria-label": `The ${name} side` },
     h("div.headed", null, requirementBadge(side), h("h2", null, capital(side.outcome))),
     h("p", null, side.words),
-    h("p.hint", null, !computed && (pair.confirmation[name].evaluated ? `Unsafe with other seeds in ${share(pair.confirmation[name])}. ` : "Not simulated again with other seeds. "),
+    h("p.hint", null, !computed && said(side.again || "not simulated again with other seeds"), " ",
       h("a", { href: link("campaigns", id, "solutions", side.number) }, `Solution ${side.number}${replayable ? " with its replay" : ""}`)));
 }
 

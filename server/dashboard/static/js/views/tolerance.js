@@ -1,54 +1,22 @@
 /** The tolerances of a campaign: how gross an error may be before it makes too many drives violate a requirement. */
 
-import { download } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
-import { capital, count, percent, plural, spaced } from "../format.js";
+import { capital, percent, spaced } from "../format.js";
 import { loadOnNews } from "../polling.js";
-import { link } from "../router.js";
-import { matrix } from "../parts/elements.js";
-import { said, share } from "./pair/words.js";
 import { detectorCheck } from "./tolerance_detector.js";
 
 const COLOURS = 6;
 
-/** Return the card of a campaign's tolerances and a check of detectors against them; ``news(sequence)`` loads them. */
-export function toleranceCard(context, id, problems) {
-  const about = h("p.hint");
-  const words = h("p", { "aria-live": "polite" });
-  const unknown = h("p.hint");
+/** Return the curves of a campaign's tolerances, to stand above their tables, and a check of detectors against them, below. */
+export function toleranceCurves(context, id) {
   const legend = h("ul.legend", { "aria-label": "Conditions" });
   const panels = h("div.panels.curves");
-  const table = toleranceTable(id);
-  const falls = h("ul.plain.falls", { "aria-label": "Where a larger error is safer" });
-  const baseline = matrix("Drives that violate a requirement without any error", "Drives");
-  const save = (format, label) => h("button", { type: "button", onclick: () => context.tell(() => download(
-    `campaigns/${id}/tolerance?format=${format}`, `tolerance-${id}.${format}`)) }, label);
-  const card = h("section.card.tolerance", { "aria-label": "Tolerances", hidden: true },
-    h("div.inline", null, h("h2", null, "Tolerances"), h("div.actions.push", null, save("csv", "CSV"), save("json", "JSON"))),
-    about, words, unknown, legend, panels,
-    h("h3", null, "Requirements"), table, falls,
-    h("h3", null, "Without any error"), baseline,
-    detectorCheck(context, id, problems));
 
   const load = loadOnNews(async () => {
     const read = await context.get(`campaigns/${id}/tolerance`);
-    card.hidden = read.simulations === 0;
-    text(about, `How severe an error may be before it makes ${percent(read.limit)} of drives violate a requirement that they would have held without it.`);
-    text(words, said(read.note));
-    text(unknown, [
-      read.audited > 0 && `Drives that hold with the most severe error are assumed to hold with milder ones; of ${count(read.audited)} that were simulated nevertheless, ${count(read.leaks)} violated.`,
-      read.open > 0 && `Whether the error caused ${plural(read.open, "more violation")} is not known yet.`,
-    ].filter(Boolean).join(" "));
-    unknown.hidden = read.open + read.audited === 0;
-    const groups = grouped(read);
     drawLegend(read);
     const top = ceiling(read);
-    keyed(panels, groups.map((cells) => ({ cells, read, top })), ({ cells }) => JSON.stringify(cells[0].choices), panel);
-    table.update(read, groups.flat());
-    keyed(falls, groups.flat().filter((cell) => cell.fall), (cell) => `${cell.place} ${cell.fall.words}`,
-      (cell) => h("li", null, `${name(cell)}; ${cell.condition}: ${cell.fall.words}.`));
-    falls.hidden = falls.children.length === 0;
-    drawBaseline(read);
+    keyed(panels, grouped(read).map((cells) => ({ cells, read, top })), ({ cells }) => JSON.stringify(cells[0].choices), panel);
   }, { signal: context.signal, refuse: context.complain, leastMs: 3_000, share: 0.2 });
 
   function drawLegend(read) {
@@ -62,30 +30,22 @@ export function toleranceCard(context, id, problems) {
     keyed(legend, items, ([label]) => label, ([label, key]) => h("li", null, key, label));
   }
 
-  function drawBaseline(read) {
-    baseline.update(read.conditions.map((condition) => ({ key: condition, head: capital(condition) })), [...byChoices(read.baseline)].map(([key, some]) => ({
-      key, label: capital(some[0].choices.map(chosen).filter(Boolean).join("; ")) || "All",
-      cells: read.conditions.map((condition) => share(some.find((one) => one.condition === condition)?.share ?? {})),
-    })));
-  }
-
-  card.news = (news) => load(news);
-  return card;
+  return {
+    above: h("div.tolerance", null, legend, panels),
+    below: detectorCheck(context, id),
+    update: (finding) => load(JSON.stringify([finding.sentence, finding.tables[0].rows])),
+  };
 }
 
 /** Return cells by their choices, each list in the order of conditions. */
 function grouped(read) {
   const place = (cell) => read.conditions.indexOf(cell.condition);
-  return [...byChoices(read.cells).values()].map((cells) => cells.sort((a, b) => place(a) - place(b)));
-}
-
-function byChoices(items) {
   const groups = new Map();
-  for (const item of items) {
-    const key = JSON.stringify(item.choices);
-    groups.set(key, [...(groups.get(key) ?? []), item]);
+  for (const cell of read.cells) {
+    const key = JSON.stringify(cell.choices);
+    groups.set(key, [...(groups.get(key) ?? []), cell]);
   }
-  return groups;
+  return [...groups.values()].map((cells) => cells.sort((a, b) => place(a) - place(b)));
 }
 
 /** ``target: lead``. */
@@ -142,7 +102,7 @@ function panel(first) {
     replace(axis, [top, top / 2, 0].map((at) => h("span", null, percent(at))));
     replace(ends, [0, 0.5, 1].map((severity) => h("span", null, number(cell, severity, severity === 1))));
     text(meaning, cell.meaning);
-    attribute(picture, "aria-label", `${name(cell)}: share of drives in which the error causes a violation, by ${cell.meaning}. Limit of ${percent(read.limit)}: ${cells.map((one) => `${one.condition}: ${tolerated(one)}`).join("; ")}.`);
+    attribute(picture, "aria-label", `${name(cell)}: share of drives in which the error causes a violation, by ${cell.meaning}. Limit of ${percent(read.limit)}: ${cells.map((one) => `${one.condition}: ${one.tolerated_words}`).join("; ")}.`);
     replace(picture, curves(cells, read, top));
   };
   node.update(first);
@@ -182,48 +142,4 @@ function number(cell, severity, unit = false) {
   if (magnitude === null) return severity.toFixed(2);
   const digits = (magnitude[0] + severity * (magnitude.at(-1) - magnitude[0])).toFixed(cell.decimals);
   return unit ? `${digits}${cell.unit === "%" ? "" : " "}${cell.unit}`.trim() : digits;
-}
-
-/** ``2.2 s [1.4, 2.8]``; ``no limit to 8.0 s``. */
-function tolerated(cell) {
-  const { finding, value, low, high } = cell.tolerated;
-  if (!isKnown(cell)) return "unknown";
-  const falling = cell.curve.magnitude !== null && cell.curve.magnitude.at(-1) < cell.curve.magnitude[0];
-  if (finding === "throughout") return `no limit to ${number(cell, 1, true)}`;
-  const probably = finding === "undecided" ? "probably " : "";
-  const open = value.severity === null;
-  const ends = [low, high].map(({ severity }) => (severity === null ? "beyond" : number(cell, severity, open)));
-  return `${probably}${open ? "any" : number(cell, value.severity, true)} [${(falling ? ends.reverse() : ends).join(", ")}]`;
-}
-
-function toleranceTable(id) {
-  const head = h("tr");
-  const body = h("tbody");
-  const node = h("div.scroll.tall", { tabindex: 0, role: "region", "aria-label": "Table of tolerances" }, h("table.tolerances", null,
-    h("caption.read-out", null, "Tolerated magnitude of each error under each condition"), h("thead", null, head), body));
-  let known = "";
-
-  function row(cell) {
-    const [example] = cell.examples;
-    return h("tr", { title: cell.sentence },
-      h("th", { scope: "row" }, name(cell)), h("th", { scope: "row" }, cell.condition),
-      h("td.tolerated", null, h("span", { "aria-hidden": "true" }, tolerated(cell)), h("span.read-out", null, cell.sentence)),
-      h("td.right", null, cell.screened ? `${count(cell.vulnerable)} of ${count(cell.screened)}` : "–"),
-      h("td.right", null, count(cell.drives)), h("td.right", null, count(cell.caused)),
-      h("td.example", null, example ? [h("a", { href: link("campaigns", id, "solutions", example.number) }, `solution ${example.number}`), h("span.small.muted", null, ` ${number(cell, example.severity, true)}`)] : "–"));
-  }
-
-  node.update = (read, cells) => {
-    const heads = ["Error", "Condition", `Tolerated, ${percent(read.confidence)} interval`];
-    if (known !== heads.join()) {
-      known = heads.join();
-      replace(head, heads.map((words) => h("th", { scope: "col" }, words)),
-        h("th.right", { scope: "col", title: "Drives that violate with the most severe error concerning the same road users, of those simulated with it" }, "Vulnerable"),
-        h("th.right", { scope: "col", title: "Drives simulated with this error: of the vulnerable ones, if there was screening" }, "Drives"),
-        h("th.right", { scope: "col", title: "Drives in which this error caused a violation" }, "Caused"),
-        h("th", { scope: "col", title: "Drive with the smallest error that caused a violation" }, "Mildest example"));
-    }
-    keyed(body, cells, (cell) => JSON.stringify([cell.place, cell.sentence, cell.drives, cell.caused, cell.examples[0]]), row);
-  };
-  return node;
 }

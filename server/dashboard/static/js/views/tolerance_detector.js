@@ -10,10 +10,9 @@ const BADGES = { "not met": "failed", "met": "finished", "not enough data": "pau
 const WIDTH = 160;
 
 /** Return a part that lists campaigns with a detector in the loop when it is opened, and checks the one that is chosen. */
-export function detectorCheck(context, id, problems) {
-  const measuring = new Set(problems.filter((problem) => problem.measures_detector).map((problem) => problem.id));
+export function detectorCheck(context, id) {
   const campaigns = h("select", { onchange: () => context.tell(check) });
-  const none = h("p.hint", { hidden: true }, `No campaign has a detector in the loop yet. Start one on ${[...measuring].join(" or ")}.`);
+  const none = h("p.hint", { hidden: true });
   const note = h("p.verdict", { "aria-live": "polite" });
   const meaning = h("p.hint");
   const next = h("ul.plain", { "aria-label": "What to record next" });
@@ -27,6 +26,9 @@ export function detectorCheck(context, id, problems) {
     found);
 
   async function list() {
+    const problems = await context.get("problems");
+    const measuring = new Set(problems.filter((problem) => problem.measures_detector).map((problem) => problem.id));
+    text(none, `No campaign has a detector in the loop yet. Start one on ${[...measuring].join(" or ")}.`);
     const rows = rowsOf(await context.get("overview?limit=200&follow_ups=hidden")).filter((row) => measuring.has(row.problem));
     none.hidden = rows.length > 0;
     keyed(campaigns, [{ id: "", name: "choose one" }, ...rows], (row) => row.id,

@@ -1,101 +1,10 @@
-/** Cards of a campaign: boundary solutions, parameter dependence, findings of other kinds, settings. */
+/** Cards of a campaign: parameter dependence, repeats, settings. */
 
-import { download } from "../../api.js";
-import { attribute, h, keyed, replace, text } from "../../dom.js";
-import { count, figure, percent, plural, signed, spaced } from "../../format.js";
+import { h, replace, text } from "../../dom.js";
+import { count, figure, percent, plural, spaced } from "../../format.js";
 import { loadOnNews } from "../../polling.js";
 import { link } from "../../router.js";
-import { badge, outcomeBadge } from "../../parts/elements.js";
-
-const COLUMNS = [
-  ["number", "Solution", (one) => one.number],
-  ["verdict", "Outcome", (one) => one.outcome],
-  ["fitness", "Fitness", (one) => one.fitness],
-  ["robustness", "Robustness", (one) => one.robustness],
-  ["unsafe", "Unsafe neighbours", (one) => one.unsafe_neighbours / one.neighbours],
-  ["words", "Description", null],
-];
-const PAGE = 12;
-
-/** Return the card of boundary solutions; ``news(generation, thresholds)`` loads them, ``found`` is called with the response and whether the search was for pairs. */
-export function boundaryCard(context, id, usual, found) {
-  let read = null;
-  let thresholds = null;
-  let pairs = false; // whether the search was for pairs
-  let sorting = { name: "fitness", falling: false };
-  let most = PAGE;
-
-  const filter = h("input", { id: "boundary-find", type: "search", placeholder: "rain, pedestrian, 61 …", oninput: draw });
-  const verdict = h("select", { id: "boundary-verdict", onchange: draw },
-    [["", "any outcome"], ["held", "no violation"], ["other", "only another requirement violated"], ["violated", "unsafe"]].map(([value, words]) => h("option", { value }, words)));
-  const strict = h("input", { type: "checkbox", id: "boundary-strict", onchange: draw });
-  const body = h("tbody");
-  const heads = COLUMNS.map(([name, words, by]) => h("th", { scope: "col" },
-    by ? h("button", { type: "button", onclick: () => sort(name) }, words) : words));
-  const said = h("p.hint", { "aria-live": "polite" });
-  const more = h("button", { type: "button", hidden: true, onclick: () => { most += PAGE; draw(); } }, "Show more");
-  const save = (format, words) => h("button", { type: "button", onclick: () => context.tell(() => download(
-    `campaigns/${id}/boundary?t_b=${thresholds.t_b}&d_th=${thresholds.d_th}&format=${format}`, `boundary-${id}.${format}`)) }, words);
-  const card = h("section.card", { "aria-label": "Boundary solutions", hidden: true },
-    h("div.inline", null, h("h2", null, "Boundary solutions"), h("label", { for: "boundary-find" }, "Find"), filter, verdict,
-      h("label.check", { for: "boundary-strict" }, strict, "strict only"),
-      h("div.actions.push", null, save("csv", "CSV"), save("jsonl", "JSON Lines"))),
-    h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Table of boundary solutions" },
-      h("table.boundary", null, h("caption", null, ""), h("thead", null, h("tr", null, heads)), body)),
-    said, more);
-  attribute(verdict, "aria-label", "Outcome");
-  const caption = card.querySelector("caption");
-
-  const load = loadOnNews(async () => {
-    read = await context.get(`campaigns/${id}/boundary?t_b=${thresholds.t_b}&d_th=${thresholds.d_th}`);
-    // At other thresholds, an empty table is an answer; at the usual ones, it has nothing to show.
-    if (read.solutions.length > 0 || !isDefault(read)) card.hidden = false;
-    found(read, pairs);
-    draw();
-  }, { signal: context.signal, refuse: context.complain, leastMs: 3_000, share: 0.05 });
-
-  function sort(name) {
-    sorting = { name, falling: sorting.name === name ? !sorting.falling : false };
-    draw();
-  }
-
-  function draw() {
-    if (!read) return;
-    const strictOnes = new Set(read.strict);
-    const wanted = filter.value.trim().toLowerCase();
-    const rows = read.solutions.filter((one) => (!verdict.value || one.kind === verdict.value)
-      && (!strict.checked || strictOnes.has(one.number))
-      && (!wanted || String(one.number) === wanted || `${one.words} ${one.outcome}`.toLowerCase().includes(wanted)));
-    const [, , by] = COLUMNS.find(([name]) => name === sorting.name);
-    rows.sort((a, b) => (by(a) < by(b) ? -1 : by(a) > by(b) ? 1 : a.number - b.number) * (sorting.falling ? -1 : 1));
-    heads.forEach((head, place) => attribute(head, "aria-sort",
-      COLUMNS[place][0] === sorting.name ? (sorting.falling ? "descending" : "ascending") : null));
-    keyed(body, rows.slice(0, most), (one) => `${one.number} ${one.neighbours} ${one.fitness} ${strictOnes.has(one.number)}`, (one) => row(one, strictOnes.has(one.number)));
-    text(caption, `t_b ${read.t_b}, d_th ${read.d_th}: ${plural(read.dbs, "distinct boundary solution")}, ${count(read.strict_dbs)} strict. ${read.solutions.length < read.dbs ? `Listed are ${read.words}. ` : ""}${read.note}`);
-    text(said, rows.length < read.solutions.length ? `${count(rows.length)} of ${count(read.solutions.length)} match.` : read.solutions.length ? "" : "None yet at these thresholds.");
-    more.hidden = rows.length <= most;
-  }
-
-  function row(one, isStrict) {
-    const [low, high] = one.interval;
-    return h("tr", null,
-      h("td", null, h("a.row", { href: link("campaigns", id, "solutions", one.number) }, String(one.number)), isStrict && h("span.small.muted", null, " strict")),
-      h("td.outcome", null, outcomeBadge(one)), h("td", null, figure(one.fitness)), h("td", null, figure(one.robustness)),
-      h("td", null, `${one.unsafe_neighbours} of ${one.neighbours}`, h("div.small.muted", null, `${percent(low)} to ${percent(high)}`)),
-      h("td.words.small", null, one.words));
-  }
-
-  function isDefault({ t_b, d_th }) {
-    return t_b === usual.t_b && d_th === usual.d_th;
-  }
-
-  card.news = (generation, next, { atOnce = false, searchedForPairs = pairs } = {}) => {
-    thresholds = next;
-    pairs = searchedForPairs;
-    load(`${generation} ${next.t_b} ${next.d_th}`, { atOnce });
-  };
-  return card;
-}
+import { badge } from "../../parts/elements.js";
 
 const WIDTH = 220;
 const HEIGHT = 96;
@@ -204,10 +113,6 @@ export function repeatsCard(context, id) {
     load(sequence);
   };
   return node;
-}
-
-function head(...names) {
-  return h("thead", null, h("tr", null, names.map((name) => h("th", { scope: "col" }, name))));
 }
 
 const MOST_LETTERS = 120;

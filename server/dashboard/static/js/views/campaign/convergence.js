@@ -20,13 +20,12 @@ export class Generations {
   }
 }
 
-/** Return the cards in one element, which appears with the first generation; ``news(progress, generations)`` draws new data, ``explain(note)`` shows how to read the thresholds. */
+/** Return the cards in one element, which appears with the first generation; ``news(progress, generations)`` draws new data, ``chosen()`` returns the thresholds that are not the defaults. */
 export function convergenceCards(context, id, query, thresholds) {
   const t_b = threshold("t-b", "t_b", query.get("t_b"), thresholds.t_b);
   const d_th = threshold("d-th", "d_th", query.get("d_th"), thresholds.d_th);
   const conditional = new Conditional();
   let defaults = thresholds;
-  let reading = ""; // how to read the thresholds, from the coordinator
   let generations = null;
   let unavailable = null; // why there is no curve at these thresholds
   let isEmpty = true; // whether there was never a boundary solution at these thresholds
@@ -98,7 +97,7 @@ export function convergenceCards(context, id, query, thresholds) {
   }
 
   function explain() {
-    text(note, unavailable ?? `DBS counts solutions with a fitness of at most t_b that are at least d_th apart. ${reading}`.trim());
+    text(note, unavailable ?? `DBS counts solutions with a fitness of at most t_b that are at least d_th apart.`);
   }
 
   function draw({ atOnce = false } = {}) {
@@ -117,8 +116,7 @@ export function convergenceCards(context, id, query, thresholds) {
 
   return {
     card,
-    explain: (words) => { reading = words; explain(); },
-    thresholds: () => ({ t_b: t_b.value(), d_th: d_th.value() }),
+    chosen: () => (isDefault() ? {} : { t_b: t_b.value(), d_th: d_th.value() }),
     news(progress, known) {
       defaults = { t_b: progress.t_b, d_th: progress.d_th };
       card.hidden = known.list.length === 0;
