@@ -4,7 +4,6 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import Generic, Self
 
 from rich.console import Console, Group, RenderableType
@@ -35,7 +34,34 @@ def updates_in_place(console: Console) -> bool:
     return console.is_terminal and not console.is_dumb_terminal and console.file.isatty()
 
 
-class Steps:
+class InPlace:
+    """Something that is shown in place on a terminal while a block runs.
+
+    Args:
+        console: Shows it.
+        render: Returns it, where it is not passed to `Live.update`.
+    """
+
+    def __init__(self, console: Console, render: Callable[[], RenderableType] | None = None) -> None:
+        self._console = console
+        self._began = time.monotonic()
+        self._live: Live | None = None
+        if updates_in_place(console):
+            self._live = Live(get_renderable=render, console=console, refresh_per_second=4, transient=True)
+
+    def __enter__(self) -> Self:
+        """Start the display."""
+        if self._live is not None:
+            self._live.start(refresh=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop the display and restore the terminal."""
+        if self._live is not None:
+            self._live.stop()
+
+
+class Steps(InPlace):
     """Shows the current step of a command, its progress, and its duration.
 
     On a terminal a line in place, such as ``drawing replays, 2 of 3, 41 s``; elsewhere such a line after two seconds,
@@ -48,36 +74,24 @@ class Steps:
     """
 
     def __init__(self, console: Console, first: str, *, plain_every_s: float = PLAIN_EVERY_S) -> None:
-        self._console = console
         self._plain_every_s = plain_every_s
         self._what, self._done, self._total = first, 0, 0
-        self._began = time.monotonic()
+        super().__init__(console, self._line)
         self._ended = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._live: Live | None = None
-        if updates_in_place(console):
-            self._live = Live(
-                get_renderable=self._line, console=console, refresh_per_second=4, transient=True
-            )
+        self._thread = threading.Thread(target=self._print_now_and_then, name="brink-steps", daemon=True)
 
     def __enter__(self) -> Self:
         """Start the display."""
-        if self._live is not None:
-            self._live.start(refresh=True)
-        else:
-            self._thread = threading.Thread(target=self._print_now_and_then, name="brink-steps", daemon=True)
+        if self._live is None:
             self._thread.start()
-        return self
+        return super().__enter__()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop the display and restore the terminal."""
         self._ended.set()
-        if self._thread is not None:
+        if self._live is None:
             self._thread.join()
-        if self._live is not None:
-            self._live.stop()
+        super().__exit__()
 
     def show(self, what: str, done: int = 0, total: int = 0) -> None:
         """Show a step, with its progress unless `total` is 0; safe from any thread."""
@@ -102,29 +116,12 @@ class Steps:
             wait_s = self._plain_every_s
 
 
-class LiveDisplay(ABC, Generic[P]):
+class LiveDisplay(InPlace, ABC, Generic[P]):
     """A panel updated in place on a terminal; elsewhere a line every ten seconds."""
 
     def __init__(self, console: Console) -> None:
-        self._console = console
-        self._live: Live | None = None
-        if updates_in_place(console):
-            self._live = Live(console=console, refresh_per_second=4, transient=True)
-        self._began = time.monotonic()
+        super().__init__(console)
         self._printed_at = float("-inf")
-
-    def __enter__(self) -> Self:
-        """Start the display."""
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Stop the display and restore the terminal."""
-        if self._live is not None:
-            self._live.stop()
 
     @abstractmethod
     async def fetch(self, api: Api, work: str) -> P:
@@ -390,10 +387,8 @@ def rate_of(rate: float | None) -> str:
     return f"{rate:.1f} a second" if rate >= 1 else f"{60 * rate:.1f} a minute"
 
 
-def duration(seconds: float | None) -> str:
+def duration(seconds: float) -> str:
     """Return a duration as text."""
-    if seconds is None:
-        return "–"
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from brink.api.client import Api
 from brink.api.terminal import echo
-from brink.cli.options import console, plain_table, print_json, write_json
+from brink.cli.options import check_out, console, plain_table, print_json, write_json
 from brink.cli.recording_options import GivenRecording, detection_scores
 from brink.recordings.measure import ObservedDrive, observe
 from brink.recordings.recording import Recording
@@ -111,13 +111,9 @@ def chosen_format(form: Format | None, out: Path | None, *, as_json: bool, pages
         return form or Format.TABLE
     named = out.suffix.removeprefix(".").lower()
     files = [Format.CSV, Format.JSON, Format.MARKDOWN, *([Format.HTML] if pages else ())]
-    if named not in files or (form is not None and form != named):
-        endings = (
-            f".{form}" if form in files else f"{', '.join(f'.{one}' for one in files[:-1])} or .{files[-1]}"
-        )
-        raise InvalidInput.at("--out", f"{out}: expected a file name that ends in {endings}")
-    if not out.absolute().parent.is_dir():
-        raise InvalidInput.at("--out", f"{out.parent}: no such folder")
+    if form is not None and form not in files:
+        raise InvalidInput.at("--format", f"expected one of {', '.join(files)} for a file, got {form}")
+    check_out(out, *(f".{one}" for one in files if form in (None, one)))
     return Format(named)
 
 
