@@ -18,6 +18,7 @@ And it may start from what is known already (`WarmStarts`): results of earlier s
 are not candidates, have no number, and are neither in the archive nor part of the budget.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -58,6 +59,34 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Measure:
+    """What a number says about a simulated candidate; a problem declares its measures.
+
+    Attributes:
+        name: Its name, such as ``least_front_gap_m``.
+        low: Usual smallest value.
+        high: Usual largest value; values beyond the two are possible.
+        unit: Its unit, such as ``m``; empty for a plain number.
+    """
+
+    name: str
+    low: float
+    high: float
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise ValueError(f"{self.name}: expected a range with low < high, got {self.low} to {self.high}")
+
+    def cell(self, value: float, cells: int) -> str:
+        """Return in words in which of `cells` equal parts of the range a value lies, or is nearest to."""
+        width = (self.high - self.low) / cells
+        place = min(max(math.floor((value - self.low) / width), 0), cells - 1)
+        low = self.low + place * width
+        return f"{self.name} {low:g} to {low + width:g} {self.unit}".rstrip()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Niche:
     """What a candidate did, and how well, for searches that look for the best candidate of each kind of behaviour.
 
@@ -81,6 +110,7 @@ class Scored:
         counts: Whether a violation is of the kind that the search looks for.
         robustness: Distance to violation, negative if violated.
         objectives: Values to optimise, all minimised, by name.
+        measures: Values of the problem's measures, without those that this episode does not have.
         kinds: Kinds of failure that it exposed, for problems that classify them.
         niches: What it did, for problems that describe that.
     """
@@ -88,6 +118,7 @@ class Scored:
     unsafe: bool
     robustness: float
     objectives: Mapping[str, float] = field(default_factory=dict)
+    measures: Mapping[Measure, float] = field(default_factory=dict)
     kinds: frozenset[str] = frozenset()
     niches: tuple[Niche, ...] = ()
     counts: bool = True
@@ -167,6 +198,7 @@ class Algorithm(Protocol[C, S]):
         suggested: Optional. Place among the algorithms that a new campaign may begin with, the lowest first.
         former: Optional. For settings that were added later, what their value was before, by name.
         is_baseline: Optional. Whether it draws solutions at random, without a search.
+        needs_measures: Optional. Whether it cannot search without measures (`Measure`) or niches of candidates.
         internal: Optional. Whether only Brink itself starts campaigns with it.
     """
 

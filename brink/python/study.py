@@ -100,6 +100,10 @@ class Study:
             raise UnsupportedSpace(
                 f"{algorithm} asks for seeds, which a study cannot give: run it as a campaign"
             )
+        if getattr(self._algorithm, "needs_measures", False):
+            raise UnsupportedSpace(
+                f"{algorithm} needs measures, which a study cannot give: run it as a campaign"
+            )
         self._space = space_of(space)
         self._id, self._seed, self._simulations = algorithm, seed, simulations
         self._config = make_params(self._algorithm.config_type, dict(params or {}), "/params")

@@ -1,9 +1,12 @@
-"""MAP-Elites on traffic participants: one best solution, an elite, for each kind of behaviour.
+"""MAP-Elites: one best solution, an elite, for each kind of behaviour.
 
 A solution belongs to the niches that its problem names (`Niche`), such as the sector in which it came close to the
-ego and what both were doing. Each niche keeps its best solution, by rank, then value. Children are variants of
-elites, crossings of two, hand-written patterns, and random solutions. Kinds of behaviour are thus collected rather
-than optimised away: what is best in one niche never displaces another niche's elite.
+ego and what both were doing. If the problem names none but declares measures, such as the smallest gap, its niche is
+the cell of their values in a grid: unsafe solutions rank before safe ones, then by robustness.
+
+Each niche keeps its best solution, by rank, then value. Children are variants of elites, crossings of two, patterns
+of traffic written by hand, and random solutions. Kinds of behaviour are thus collected rather than optimised away:
+what is best in one niche never displaces another niche's elite.
 
 Parents are elites of the best rank, and now and then of the next one: near misses. Rare behaviour is preferred: an
 elite's chance falls with the number of solutions that were in its niche. Otherwise one easily repeated mechanism,
@@ -15,7 +18,7 @@ drives. If it is not in its niche again, at that rank, the next solution there r
 Elites get their second drive first. Children get the rest of a generation, and no more of the budget than leaves a
 second drive for the elites that they are expected to give.
 
-Several generations may be in flight. A problem that names no niches is searched at random.
+Several generations may be in flight. Solutions without niches and measures are searched at random.
 
 Sources: Mouret and Clune, "Illuminating search spaces by mapping elites", 2015. Elites are simulated again as in
 Justesen, Risi and Mouret, "MAP-Elites for noisy domains by adaptive sampling", 2019, in its simplest form.
@@ -26,7 +29,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any, ClassVar, Final, assert_never
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -35,9 +38,11 @@ from brink.search.algorithms.ledger import Ledger, LedgerAlgorithm, LedgerConfig
 from brink.search.algorithms.multi_objective import Child, stored_origins
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError
+from brink.search.operators import crossed, mutated
 from brink.search.settings import setting
 from brink.search.space import FloatArray, SearchSpace
 from brink.search.streams import Stream, generator
+from brink.search.traffic.constraint import has_participants
 from brink.search.traffic.participants import Participant, Solution
 from brink.search.traffic.variation import (
     TrafficGenome,
@@ -55,6 +60,10 @@ _NEAR_SHARE: Final = 0.25
 """Share of the elites of the second-best rank, those with the lowest values, that may become parents."""
 _MOTIF_SHARE: Final = 0.5
 """Share of the participants added by edits that follow a motif; the others are random."""
+_NUDGED_SHARE: Final = 0.5
+"""Share of the numbers that a small change modifies, where there are no participants."""
+_REDRAWN_SHARE: Final = 0.25
+"""Share of the parameters that a major change draws again, where there are no participants."""
 
 
 class Operator(StrEnum):
@@ -65,13 +74,13 @@ class Operator(StrEnum):
     PATTERN = "pattern"
     """Hand-written patterns with random numbers."""
     SMALL = "small"
-    """Some numbers of all participants of an elite change a little."""
+    """Some numbers (of all participants) of an elite change a little."""
     MAJOR = "major"
-    """One participant of an elite starts elsewhere and acts differently."""
+    """One participant of an elite starts elsewhere and acts differently, or some parameters are drawn again."""
     EDIT = "edit"
-    """One participant of an elite is changed, removed or replaced, or another is added."""
+    """One participant of an elite is changed, removed or replaced, another is added, or one parameter drawn again."""
     CROSSOVER = "crossover"
-    """Participants and actions of two elites are swapped."""
+    """Participants and actions, or parameters, of two elites are swapped."""
 
 
 _ORIGINS: Final[Mapping[Operator, Origin]] = {
@@ -102,13 +111,27 @@ class QdConfig(LedgerConfig):
     share_random: float = setting(0.1, help="Share of random solutions.", ge=0, le=1)
     share_pattern: float = setting(0.0, help="Share of hand-written hostile patterns.", ge=0, le=1)
     share_small: float = setting(
-        0.3, help="Share of elites with all participants changed a little.", ge=0, le=1
+        0.3, help="Share of elites with all participants, or many numbers, changed a little.", ge=0, le=1
     )
-    share_major: float = setting(0.2, help="Share of elites with one participant changed a lot.", ge=0, le=1)
+    share_major: float = setting(
+        0.2,
+        help="Share of elites with one participant changed a lot, or some parameters drawn again.",
+        ge=0,
+        le=1,
+    )
     share_edit: float = setting(
-        0.2, help="Share of elites with a participant changed, added, removed or replaced.", ge=0, le=1
+        0.2,
+        help="Share of elites with a participant changed, added, removed or replaced, or one parameter drawn again.",
+        ge=0,
+        le=1,
     )
     share_crossover: float = setting(0.2, help="Share of crossings of two elites.", ge=0, le=1)
+    cells: int = setting(
+        5,
+        help="Parts that the range of each measure is divided into, for problems that declare measures.",
+        ge=1,
+        le=100,
+    )
     near: float = setting(
         0.1,
         ge=0,
@@ -181,16 +204,18 @@ class QdState(LedgerState):
 
 
 class Qd(LedgerAlgorithm[QdConfig, QdState]):
-    """MAP-Elites for scripted traffic."""
+    """MAP-Elites for scripted traffic, and for any problem that declares measures."""
 
     id = "qd@1"
     finds = ("violations",)
     summary = "MAP-Elites: as many kinds of violations as possible, the most critical of each."
     config_type = QdConfig
+    needs_measures = True
     layout = 2
 
     def _min_budget(self, space: SearchSpace, config: QdConfig) -> int:
-        TrafficGenome.of(space)
+        if config.share_pattern and not has_participants(space):
+            raise ConfigError("share_pattern", "expected 0: only traffic participants have patterns")
         if not any(config.shares):
             raise ConfigError("share_random", "expected a positive share of at least one operator, got none")
         return 1
@@ -206,7 +231,7 @@ class Qd(LedgerAlgorithm[QdConfig, QdState]):
         """
         told = state.ledger.pending
         ledger = state.ledger.tell(evaluations)
-        elites = with_elites(state.elites, told, evaluations, state.again)
+        elites = with_elites(state.elites, told, evaluations, state.again, cells=state.config.cells)
         origins = state.queue_origins[len(told) :]
         return _planned(replace(state, ledger=ledger, elites=elites, queue_origins=origins))
 
@@ -243,6 +268,8 @@ def with_elites(
     candidates: Sequence[Candidate],
     evaluations: Mapping[int, Evaluation],
     again: Mapping[int, int] = MappingProxyType({}),
+    *,
+    cells: int = 1,
 ) -> tuple[Elite, ...]:
     """Return the elites after a generation was evaluated. Solutions without a verdict never become elites.
 
@@ -251,13 +278,14 @@ def with_elites(
         candidates: The generation.
         evaluations: Its evaluations, by number.
         again: Number of the solution that a candidate simulates once more, by the candidate's number.
+        cells: Parts that the range of each measure is divided into.
     """
     best = {elite.niche.name: elite for elite in elites}
     for candidate in candidates:
         evaluation = evaluations[candidate.number]
         if not isinstance(evaluation, Scored):
             continue
-        niches = {niche.name: niche for niche in _best_by_name(evaluation.niches)}
+        niches = {niche.name: niche for niche in _best_by_name(niches_of(evaluation, cells))}
         same = [name for name, elite in best.items() if elite.number == again.get(candidate.number)]
         best |= {name: best[name].again(niches.pop(name, None)) for name in same}
         for niche in niches.values():
@@ -268,6 +296,14 @@ def with_elites(
                 else known.after(niche, candidate.number)
             )
     return tuple(best.values())
+
+
+def niches_of(evaluation: Scored, cells: int) -> tuple[Niche, ...]:
+    """Return the niches of a solution: those that its problem names, or else the cell of its measures, if any."""
+    if evaluation.niches or not evaluation.measures:
+        return evaluation.niches
+    name = tuple(measure.cell(value, cells) for measure, value in evaluation.measures.items())
+    return (Niche(name=name, rank=int(not evaluation.unsafe), value=evaluation.robustness),)
 
 
 def _best_by_name(niches: Sequence[Niche]) -> Iterable[Niche]:
@@ -350,7 +386,8 @@ class _Breeding:
 
     def __init__(self, state: QdState) -> None:
         self._state = state
-        self._genome = TrafficGenome.of(state.ledger.space)
+        space = state.ledger.space
+        self._variation = _TrafficVariation(space) if has_participants(space) else _Variation(space)
         config = state.config
         shares = np.array(config.shares)
         self._operators = tuple(Operator), shares / shares.sum()
@@ -367,19 +404,82 @@ class _Breeding:
         operator = (
             Operator.RANDOM if self._starting else operators[rng.choice(len(operators), p=probabilities)]
         )
-        genome, origin = self._genome, _ORIGINS[operator]
-        if operator is Operator.RANDOM:
-            return genome.row(genome.sample(rng), None, rng), origin
-        if operator is Operator.PATTERN:
-            return genome.row(hostile_solution(genome.road, genome.max_participants, rng), None, rng), origin
+        origin = _ORIGINS[operator]
+        if operator in (Operator.RANDOM, Operator.PATTERN):
+            return self._variation.new(operator, rng), origin
         parent = self._parent(rng)
-        row = _row(self._state, parent.number)
-        return genome.row(self._varied(operator, parent, rng), row, rng), origin
+        if operator is Operator.CROSSOVER:
+            return self._variation.crossed(parent, self._parent(rng), rng), origin
+        return self._variation.varied(operator, parent, rng), origin
 
-    def _varied(self, operator: Operator, parent: Elite, rng: np.random.Generator) -> Solution:
-        """Return a variant of an elite's participants."""
+    def _parent(self, rng: np.random.Generator) -> FloatArray:
+        near = self._near and rng.random() < self._state.config.near
+        parents = self._near if near else self._leading
+        rarity = np.array([1.0 / elite.hits for elite in parents])
+        return _row(self._state, parents[int(rng.choice(len(parents), p=rarity / rarity.sum()))].number)
+
+
+class _Variation:
+    """Makes new solutions of any space, and variants of rows, shape ``(d,)``."""
+
+    def __init__(self, space: SearchSpace) -> None:
+        self._space = space
+
+    def new(self, operator: Operator, rng: np.random.Generator) -> FloatArray:
+        """Return a solution that has no parent."""
+        return self._space.join(self._space.sample(rng))
+
+    def varied(self, operator: Operator, row: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return a variant of an elite: many numbers changed a little, some parameters drawn again, or one."""
+        space, parent = self._space, self._unset(row)
+        if operator is Operator.SMALL:
+            probability = np.where(space.categorical, 1 / space.dimension, _NUDGED_SHARE)
+            parts = zip(space.components, space.slices, strict=True)
+            return self._repaired(
+                np.concatenate([mutated(one, parent[part], probability[part], rng) for one, part in parts]),
+                rng,
+            )
+        one = np.arange(space.dimension) == rng.integers(space.dimension)
+        drawn_again = one if operator is Operator.EDIT else one | (rng.random(one.size) < _REDRAWN_SHARE)
+        return self._repaired(np.where(drawn_again, self._unset(self.new(operator, rng)), parent), rng)
+
+    def crossed(self, row: FloatArray, other: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return a crossing of two elites."""
+        return self._repaired(crossed(self._unset(row), self._unset(other), 0.5, rng)[0], rng)
+
+    def _unset(self, row: FloatArray) -> FloatArray:
+        space = self._space
+        parts = zip(space.components, space.slices, strict=True)
+        return np.concatenate([component.unset_dormant(row[part]) for component, part in parts])
+
+    def _repaired(self, row: FloatArray, rng: np.random.Generator) -> FloatArray:
+        return self._space.join(self._space.repair(self._space.split(row), rng))
+
+
+class _TrafficVariation(_Variation):
+    """Makes scripted traffic: participants are varied by what they do."""
+
+    def __init__(self, space: SearchSpace) -> None:
+        super().__init__(space)
+        self._genome = TrafficGenome.of(space)
+
+    def new(self, operator: Operator, rng: np.random.Generator) -> FloatArray:
+        """Return random participants, or a pattern."""
         genome = self._genome
-        solution = genome.solution(_row(self._state, parent.number))
+        if operator is Operator.PATTERN:
+            return genome.row(hostile_solution(genome.road, genome.max_participants, rng), None, rng)
+        return genome.row(genome.sample(rng), None, rng)
+
+    def varied(self, operator: Operator, row: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return an elite with other participants."""
+        return self._genome.row(self._changed(operator, self._genome.solution(row), rng), row, rng)
+
+    def crossed(self, row: FloatArray, other: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return an elite whose participants are partly those of another."""
+        pair = crossed_uniformly(self._genome.solution(row), self._genome.solution(other), rng)
+        return self._genome.row(pair[int(rng.integers(2))], row, rng)
+
+    def _changed(self, operator: Operator, solution: Solution, rng: np.random.Generator) -> Solution:
         match operator:
             case Operator.SMALL:
                 return tuple(small_change(participant, rng) for participant in solution)
@@ -387,26 +487,15 @@ class _Breeding:
                 place = int(rng.integers(len(solution)))
                 return (*solution[:place], major_change(solution[place], rng), *solution[place + 1 :])
             case Operator.EDIT:
-                return mutated_randomly(solution, self._newcomer(rng), genome.max_participants, rng)
-            case Operator.CROSSOVER:
-                other = genome.solution(_row(self._state, self._parent(rng).number))
-                return crossed_uniformly(solution, other, rng)[int(rng.integers(2))]
-            case Operator.RANDOM | Operator.PATTERN:
-                raise AssertionError(f"{operator} varies no elite")
+                return mutated_randomly(solution, self._newcomer(rng), self._genome.max_participants, rng)
             case _:
-                assert_never(operator)
+                raise AssertionError(f"{operator} varies no participants")
 
     def _newcomer(self, rng: np.random.Generator) -> Participant:
         if rng.random() < _MOTIF_SHARE:
             return motif(self._genome.road, rng)
         drawn = self._genome.sample(rng)
         return drawn[int(rng.integers(len(drawn)))]
-
-    def _parent(self, rng: np.random.Generator) -> Elite:
-        near = self._near and rng.random() < self._state.config.near
-        parents = self._near if near else self._leading
-        rarity = np.array([1.0 / elite.hits for elite in parents])
-        return parents[int(rng.choice(len(parents), p=rarity / rarity.sum()))]
 
 
 def parents_of(elites: Sequence[Elite]) -> tuple[list[Elite], list[Elite]]:

@@ -390,3 +390,12 @@ def participants_of(space: SearchSpace) -> tuple[int, Participants]:
             if isinstance(rule, Participants) and len(rule.names) == component.dimension:
                 return index, rule
     raise UnsupportedSpace("expected a space with a component of traffic participants with timed actions")
+
+
+def has_participants(space: SearchSpace) -> bool:
+    """Return whether a space has a traffic-participants component."""
+    try:
+        participants_of(space)
+    except UnsupportedSpace:
+        return False
+    return True

@@ -291,6 +291,15 @@ class WorkerView(View):
     jobs_held: int
 
 
+class MeasureView(View):
+    """A measure of what a solution does."""
+
+    name: str
+    low: Annotated[float, Field(description="Usual smallest value.")]
+    high: Annotated[float, Field(description="Usual largest value.")]
+    unit: str
+
+
 class ProblemView(View):
     """A problem in the catalogue."""
 
@@ -301,6 +310,9 @@ class ProblemView(View):
     simulator: str | None
     finds: Annotated[
         list[str], Field(description="What a campaign finds besides a boundary: violations, combinations.")
+    ]
+    measures: Annotated[
+        list[MeasureView], Field(description="Measures of what a solution does, for qd@1 among others.")
     ]
     measures_detector: Annotated[
         bool,

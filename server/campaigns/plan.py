@@ -234,6 +234,7 @@ def make_checked_plan(body: CampaignBody) -> Plan:
             [FieldError(pointer=f"/problem/params/{name}", message=message) for name, message in wrong]
         )
     _check_criticality(plan)
+    _check_measures(plan)
     seeder().check(body.llm, plan.config, body.algorithm.id, plan.problem)
     if body.start_from is not None and not isinstance(plan.algorithm, WarmStarts):
         able = ", ".join(algorithms_that(WarmStarts))
@@ -295,6 +296,22 @@ def _check_flight(plan: Plan) -> None:
 def _is_large(plan: Plan) -> bool:
     """Return whether a search has generations of more than a piece."""
     return isinstance(plan.algorithm, KnowsFlight) and plan.algorithm.flight(plan.config)[0] > PIECE
+
+
+def _check_measures(plan: Plan) -> None:
+    """Check that the problem has what an algorithm needs that collects kinds of behaviour.
+
+    Raises:
+        InvalidInput: It declares no measures.
+    """
+    problem = plan.problem
+    if not getattr(plan.algorithm, "needs_measures", False) or problem.measures or problem.names_niches:
+        return
+    message = (
+        f"{plan.body.algorithm.id} collects solutions by measures of what they do, and {plan.body.problem.id} "
+        "declares none: choose a problem that has measures, or another algorithm"
+    )
+    raise InvalidInput.at("/algorithm/id", message)
 
 
 def _check_criticality(plan: Plan) -> None:

@@ -7,16 +7,17 @@ protocols are for what only some problems can do.
 """
 
 import copy
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, Final, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
+from typing import Any, ClassVar, Final, NamedTuple, Protocol, Self, TypeAlias, TypeGuard, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.search.algorithm import Evaluation, Measured, Scored
+from brink.search.algorithm import Evaluation, Measure, Measured, Scored
 from brink.search.space import SearchSpace
 from brink.search.traffic.participants import RoadLimits
 from brink.sim.catalogue import plugin_ids
@@ -100,6 +101,11 @@ class SeverityScale:
         return self.number(severity) + (self.unit if self.unit == "%" else f" {self.unit}".rstrip())
 
 
+def is_number(value: object) -> TypeGuard[float]:
+    """Return whether a feature of a worker's result is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
 class BaseProblem(ABC):
     """Base class of all problems; attributes with a default are optional.
 
@@ -123,6 +129,8 @@ class BaseProblem(ABC):
             sentences.
         errors_problem: Id of the problem that simulates errors of this problem's detector, for tolerances.
         usual_cells: The errors to begin with: parameters and those of their choices to study in combination.
+        measures: Measures of what a candidate does; an episode has their values among its features.
+        names_niches: Whether evaluations have niches of their own, for which no measures are needed.
         measured_detector: Name of the detector whose errors the episodes measure, to check it against tolerances.
     """
 
@@ -144,6 +152,8 @@ class BaseProblem(ABC):
     errors_problem: str = ""
     usual_cells: ClassVar[Mapping[str, list[str]]] = MappingProxyType({})
     measured_detector: str = ""
+    measures: tuple[Measure, ...] = ()
+    names_niches: bool = False
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return errors in files and plug-ins that parameters name, as pairs of a parameter's name and a message."""
@@ -225,9 +235,19 @@ class SimulatedProblem(BaseProblem):
         return tuple(dict.fromkeys((*self.recorded, *self.requirements)))
 
     def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the evaluation of a candidate: the smallest robustness of `requirements`, and all objectives."""
+        """Return the evaluation of a candidate: the smallest robustness of `requirements`, and what was measured."""
         robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
-        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
+        return Scored(
+            unsafe=robustness < 0,
+            robustness=robustness,
+            objectives=outcome.objectives,
+            measures=self.measured(outcome),
+        )
+
+    def measured(self, outcome: Completed) -> dict[Measure, float]:
+        """Return the values of the measures among the features of an episode, without those that it lacks."""
+        values = {measure: outcome.features.get(measure.name) for measure in self.measures}
+        return {measure: float(value) for measure, value in values.items() if is_number(value)}
 
     def with_truth(self) -> Self | None:
         """Return the problem with ground truth in place of the component; None if it has none or already uses it.

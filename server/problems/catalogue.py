@@ -338,6 +338,7 @@ def _describe_problem(problem_id: str, reported: Callable[[Problem], list[str]])
         "space": problem.space.describe(),
         "simulator": problem.needs if isinstance(problem, SimulatedProblem) else None,
         "finds": finds,
+        "measures": [asdict(measure) for measure in problem.measures],
         "measures_detector": bool(problem.measured_detector),
         "algorithm_defaults": dict(problem.algorithm_defaults),
         "first_algorithm": _first_algorithm(problem, finds),

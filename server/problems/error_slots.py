@@ -10,7 +10,7 @@ from abc import abstractmethod
 from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Final, Generic, Protocol, TypeGuard, TypeVar
+from typing import Any, ClassVar, Final, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -66,11 +66,6 @@ def interchangeable(parts: Sequence[Sequence[str]]) -> tuple[tuple[str, ...], ..
 def prefixes(name: str, count: int) -> list[str]:
     """Return the prefixes of the parameters of the slots, such as ``error_1.``."""
     return [f"{name}_{index}." for index in range(1, count + 1)]
-
-
-def is_number(value: object) -> TypeGuard[float]:
-    """Return whether a feature of a worker's result is a number."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

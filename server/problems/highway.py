@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping, Set
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final
 
+from brink.search.algorithm import Measure
 from brink.search.errors import ConfigError
 from brink.search.settings import check_settings, setting
 from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
@@ -141,6 +142,10 @@ class HighwayPerception(PerceptionErrors[PerceptionError]):
     extra = "highway"
     modules = ("highway_env", "gymnasium")
     recorded = REQUIREMENTS
+    measures = (
+        Measure(name="way_m", low=0.0, high=600.0, unit="m"),
+        Measure(name="ended_at_s", low=0.0, high=20.0, unit="s"),
+    )
     magnitudes = MAGNITUDES
 
     def __init__(self, params: HighwayPerceptionParams) -> None:

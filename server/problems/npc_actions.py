@@ -20,8 +20,14 @@ from brink.search.space import SearchSpace
 from brink.search.traffic.constraint import participants_component, participants_of
 from brink.search.traffic.motion import roll_out, waypoints
 from brink.search.traffic.participants import MAX_PARTICIPANTS, ParameterNames, Participant, RoadLimits
-from brink.server.problems.base import Activity, SimulatedProblem, SimulatedSolution, Vectors, wrong_detector
-from brink.server.problems.error_slots import is_number
+from brink.server.problems.base import (
+    Activity,
+    SimulatedProblem,
+    SimulatedSolution,
+    Vectors,
+    is_number,
+    wrong_detector,
+)
 from brink.server.problems.traffic_changes import words_of_traffic_change
 from brink.sim.encounter.specification import (
     PLACE_FIELDS,
@@ -131,6 +137,7 @@ class NpcActions(SimulatedProblem):
     recorded = ORACLES
     records_activity = True
     has_component = True
+    names_niches = True
     extra = "vision"
 
     def __init__(self, params: NpcActionsParams) -> None:

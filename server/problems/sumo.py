@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Final
 
+from brink.search.algorithm import Measure
 from brink.search.errors import ConfigError
 from brink.search.parameters import Parameter
 from brink.search.settings import check_settings, setting
 from brink.search.space import Categorical, Component, Dormant, Real, SearchSpace
-from brink.server.problems.base import BEHAVIOUR, Vectors
+from brink.server.problems.base import BEHAVIOUR, Vectors, is_number
 from brink.server.problems.changes import different
 from brink.server.problems.error_slots import (
     NO_ERROR,
@@ -22,7 +23,6 @@ from brink.server.problems.error_slots import (
     PerceptionErrors,
     Slot,
     Values,
-    is_number,
     slots_component,
 )
 from brink.server.problems.requirements import (
@@ -158,6 +158,10 @@ class SumoDrivers(PerceptionErrors[PerceptionError]):
     extra = "sumo"
     modules = ("libsumo",)
     recorded = RECORDED
+    measures = (
+        Measure(name="least_front_gap_m", low=0.0, high=50.0, unit="m"),
+        Measure(name="hardest_braking_mps2", low=0.0, high=9.0, unit="m/s²"),
+    )
     magnitudes = MAGNITUDES
     identity = ("type", "affected")
     lacking = "there is no error (in the safe drive, {})"

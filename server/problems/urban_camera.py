@@ -12,7 +12,13 @@ from brink.search.settings import setting
 from brink.search.space import SearchSpace
 from brink.server.problems.base import SimulatedProblem, Vectors, wrong_detector
 from brink.server.problems.requirements import requirement_setting
-from brink.server.problems.urban_injected import REQUIREMENTS, UrbanParams, scenario_component, scenario_of
+from brink.server.problems.urban_injected import (
+    REQUIREMENTS,
+    URBAN_MEASURES,
+    UrbanParams,
+    scenario_component,
+    scenario_of,
+)
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
 from brink.sim.world.scenario import words_of_scenario
@@ -44,6 +50,7 @@ class UrbanScenarios(SimulatedProblem):
     simulator: ClassVar[str]
     errors_problem = "urban-errors@1"
     recorded = REQUIREMENTS
+    measures = URBAN_MEASURES
     has_component = True
     params: UrbanParams
 

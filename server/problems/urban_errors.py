@@ -22,7 +22,13 @@ from brink.server.problems.error_slots import (
 )
 from brink.server.problems.requirements import requirement_setting
 from brink.server.problems.urban_changes import scenario_changes
-from brink.server.problems.urban_injected import REQUIREMENTS, UrbanParams, scenario_component, scenario_of
+from brink.server.problems.urban_injected import (
+    REQUIREMENTS,
+    URBAN_MEASURES,
+    UrbanParams,
+    scenario_component,
+    scenario_of,
+)
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.perception_errors import MODE
 from brink.sim.urban.detection_errors import (
@@ -86,6 +92,7 @@ class UrbanErrors(PerceptionErrors[DetectionError]):
     params_type: ClassVar[type[Any]] = UrbanErrorsParams
     errors_problem = "urban-errors@1"
     recorded = REQUIREMENTS
+    measures = URBAN_MEASURES
     magnitudes = MAGNITUDES
     onset_fields = WINDOW_FIELDS
     usual_cells: ClassVar[Mapping[str, list[str]]] = {

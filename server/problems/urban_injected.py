@@ -8,10 +8,11 @@ order of repairs; see docs/explanation/hazard-boundary.md.
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
+from brink.search.algorithm import Measure
 from brink.search.settings import check_settings, setting
 from brink.search.space import (
     Categorical,
@@ -59,6 +60,11 @@ _INTEGER_SCENARIO = {"pedestrians": PEDESTRIAN_COUNTS, "road_id": ROAD_IDS, "roa
 
 
 MOST_TRAJECTORIES = 6
+URBAN_MEASURES: Final = (
+    Measure(name="least_front_gap_m", low=0.0, high=30.0, unit="m"),
+    Measure(name="way_m", low=0.0, high=200.0, unit="m"),
+)
+"""How near the ego came to what was ahead of it, and how far it went."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,6 +166,7 @@ class UrbanInjected(SlottedBehaviour):
     params_type: ClassVar[type[Any]] = UrbanInjectedParams
     errors_problem = "urban-errors@1"
     recorded = REQUIREMENTS
+    measures = URBAN_MEASURES
     acted_feature = b.DELIVERED
     terms_of_changes = (
         "reported: what the search makes the detector report, the only thing that the driving system learns about "

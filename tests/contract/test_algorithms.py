@@ -31,7 +31,6 @@ NEEDS: dict[str, tuple[type[Any], str]] = {
     "nsga2@1": (Participants, "participants"),
     "mosat@1": (Participants, "participants"),
     "mumoea@1": (Participants, "participants"),
-    "qd@1": (Participants, "participants"),
 }
 """Constraint that a space must have for an algorithm, and what the error names."""
 ERRORS = SearchSpace(

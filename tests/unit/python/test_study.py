@@ -119,6 +119,8 @@ def test_what_cannot_be_searched_is_refused(tmp_path: Path) -> None:
     path.write_text("{}", encoding="utf-8")
     with pytest.raises(DocumentError, match="expected a saved study"):
         Study.load(path)
+    with pytest.raises(UnsupportedSpace, match="needs measures, which a study cannot give"):
+        Study(SPACE, "qd@1")
 
 
 @pytest.mark.parametrize("algorithm", ["random@1", "edge@1"])

@@ -7,12 +7,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from brink.search.algorithm import Candidate, Evaluation, Failed, Niche, Origin, Scored, ask_all
+from brink.search.algorithm import Candidate, Evaluation, Failed, Measure, Niche, Origin, Scored, ask_all
 from brink.search.algorithms.multi_objective import gap_objective
-from brink.search.algorithms.qd import Elite, Operator, Qd, QdConfig, QdState, parents_of, with_elites
+from brink.search.algorithms.qd import (
+    Elite,
+    Operator,
+    Qd,
+    QdConfig,
+    QdState,
+    niches_of,
+    parents_of,
+    with_elites,
+)
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError
-from brink.search.space import Categorical, Component, SearchSpace
+from brink.search.space import Categorical, Component, Real, SearchSpace
+from brink.search.testing import example_spaces
 from brink.search.traffic.constraint import participants_component
 from brink.search.traffic.participants import RoadLimits, Solution
 from brink.search.traffic.variation import TrafficGenome
@@ -211,6 +221,61 @@ def test_solutions_without_niches_lead_to_a_random_search() -> None:
         assert set(state.queue_origins) == {Origin.RANDOM}
         state = QD.tell(state, {one.number: Scored(unsafe=False, robustness=1.0) for one in state.pending})
     assert state.elites == ()
+
+
+def test_measures_name_a_cell_of_a_grid_and_values_beyond_its_ranges_belong_to_the_outermost() -> None:
+    gap, speed = (
+        Measure(name="gap_m", low=0.0, high=20.0, unit="m"),
+        Measure(name="count", low=-1.0, high=1.0),
+    )
+    assert [gap.cell(value, 4) for value in (-3.0, 4.9, 5.0, 20.0, 99.0)] == [
+        "gap_m 0 to 5 m",
+        "gap_m 0 to 5 m",
+        "gap_m 5 to 10 m",
+        "gap_m 15 to 20 m",
+        "gap_m 15 to 20 m",
+    ]
+    safe = Scored(unsafe=False, robustness=0.5, measures={gap: 7.0, speed: 0.0})
+    assert niches_of(safe, 2) == (Niche(name=("gap_m 0 to 10 m", "count 0 to 1"), rank=1, value=0.5),)
+    assert niches_of(replace(safe, unsafe=True, robustness=-1.0, measures={speed: 0.0}), 2) == (
+        Niche(name=("count 0 to 1",), rank=0, value=-1.0),
+    )
+    named = replace(safe, niches=(Niche(name=("named",), rank=0, value=2.0),))
+    assert niches_of(named, 2) == named.niches, "a problem's own niches come first"
+    with pytest.raises(ValueError, match="low < high"):
+        Measure(name="gap_m", low=1.0, high=1.0)
+
+
+@pytest.mark.parametrize("name", ["mixed", "numeric", "slots"])
+def test_any_space_with_measures_is_searched_for_an_elite_of_each_cell(name: str) -> None:
+    """More cells than random search reaches, in a space without participants."""
+    space = example_spaces()[name]
+    real = next(place for place, one in enumerate(space.parameters) if isinstance(one, Real))
+    parameter = space.parameters[real]
+    assert isinstance(parameter, Real)
+    measure = Measure(name="first", low=parameter.low, high=parameter.high)
+
+    def judge(candidate: Candidate) -> Evaluation:
+        row = space.join(candidate.vectors)
+        share = (row[real] - parameter.low) / parameter.range
+        return Scored(unsafe=share > 0.9, robustness=0.9 - share, measures={measure: float(row[real])})
+
+    state = QD.start(space, SMALL, seed=1, budget=120)
+    while not QD.finished(state):
+        state, _ = ask_all(QD, state)
+        state = QD.tell(state, {one.number: judge(one) for one in state.pending})
+    assert len(state.archive) == 120
+    assert {elite.niche.name for elite in state.elites} == {
+        (measure.cell(v, 5),) for v in np.linspace(parameter.low, parameter.high, 11)
+    }
+    grown = state.archive.unsafe[20:].mean()
+    assert grown > 2 * 0.1, "variants of unsafe elites, not random draws, of which 10% are unsafe"
+    assert all(space.contains(space.split(row)) for row in state.archive.vectors)
+
+
+def test_patterns_need_participants() -> None:
+    with pytest.raises(ConfigError, match="only traffic participants have patterns"):
+        QD.check(example_spaces()["mixed"], replace(SMALL, share_pattern=0.1), budget=60)
 
 
 def test_shares_that_are_all_zero_are_refused() -> None:
