@@ -40,13 +40,7 @@ from brink.server.campaigns.follow_ups.question import (
     refusal,
     sides_of,
 )
-from brink.server.campaigns.plan import (
-    Plan,
-    PreparedCampaign,
-    check_repeatable,
-    find_boundary,
-    prepare_campaign,
-)
+from brink.server.campaigns.plan import Plan, check_repeatable, find_boundary, prepare_campaign
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.states import FollowUpKind, Selection
@@ -82,8 +76,13 @@ class Confirm(Question):
     def plan(self, asked: AskedPairs, seeds: Mapping[int, int], repeats: int) -> PlannedFollowUp:
         """Plan repeats of both sides of pairs, each until its verdict is confirmed or refuted."""
         check_repeatable(asked.plan)
-        return _plan_numbers(
-            asked.campaign, asked.plan, asked.archive, sides_of(asked.pairs), repeats, Selection.PAIRS
+        return plan_named_repeats(
+            asked.campaign,
+            asked.plan,
+            asked.archive,
+            repeats=repeats,
+            numbers=sides_of(asked.pairs),
+            selection=Selection.PAIRS,
         )
 
     def offer(self, asked: AskedPairs, reducible: Reducible, finished: Sequence[StoredFollowUp]) -> Offer:
@@ -130,7 +129,13 @@ def plan_boundary_repeats(
 
 
 def plan_named_repeats(
-    campaign: Campaign, plan: Plan, archive: Archive, *, repeats: int, numbers: Sequence[int]
+    campaign: Campaign,
+    plan: Plan,
+    archive: Archive,
+    *,
+    repeats: int,
+    numbers: Sequence[int],
+    selection: Selection = Selection.NUMBERS,
 ) -> PlannedFollowUp:
     """Plan repeats of solutions named by number.
 
@@ -140,21 +145,12 @@ def plan_named_repeats(
         archive: Its archive.
         repeats: Simulations of each solution.
         numbers: Distinct numbers in any order, at most `MOST`.
+        selection: How they were chosen; sides of pairs are simulated only until their verdicts are confirmed or
+            refuted, and at most `repeats` times.
 
     Raises:
         InvalidInput: The repeats cannot run, or a number is not an evaluated solution of the campaign.
     """
-    return _plan_numbers(campaign, plan, archive, numbers, repeats, Selection.NUMBERS)
-
-
-def _plan_numbers(
-    campaign: Campaign,
-    plan: Plan,
-    archive: Archive,
-    numbers: Sequence[int],
-    repeats: int,
-    selection: Selection,
-) -> PlannedFollowUp:
     places = {number: place for place, number in enumerate(archive.numbers.tolist())}
     unknown = [(index, number) for index, number in enumerate(numbers) if number not in places]
     if unknown:
@@ -197,8 +193,7 @@ def _prepare(
     assert asks.repeats is not None
     body = follow_up_body(campaign, plan, again, Repeats.id, asks.repeats * len(chosen), params)
     seed = int(generator(campaign.body.seed, Stream.REPEATS, *index).integers(2**53))
-    prepared: PreparedCampaign = prepare_campaign(body.model_copy(update={"seed": seed}))
-    return PlannedFollowUp(asks=asks, campaign=prepared)
+    return PlannedFollowUp(asks=asks, campaign=prepare_campaign(body.model_copy(update={"seed": seed})))
 
 
 def drives_of(repeats: StoredFollowUp) -> list[tuple[int, bool | None]]:
