@@ -174,7 +174,7 @@ def insert_old_campaign(
 )
 def test_a_follow_up_that_makes_no_sense_is_not_stored(engines: Engines, broken: dict[str, object]) -> None:
     queue = Queue(engines=engines)
-    sound = {"campaign_id": queue.campaign(0), "of_id": queue.campaign(0), "kind": "confirm"}
+    sound: dict[str, Any] = {"campaign_id": queue.campaign(0), "of_id": queue.campaign(0), "kind": "confirm"}
     sound |= {"selection": "boundary", "t_b": 1.0, "d_th": 0.0, "repeats": 2, "numbers": [1]}
     with pytest.raises(IntegrityError), engines.writer.begin() as connection:
         connection.execute(insert(FollowUpRow).values({**sound, **broken}))
