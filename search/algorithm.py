@@ -276,7 +276,9 @@ class Algorithm(Protocol[C, S]):
 
 
 AnyAlgorithm: TypeAlias = Algorithm[Any, Any]
-"""An algorithm that was found by its id, whose types are not known."""
+"""Any algorithm, for functions that make its settings and states themselves."""
+OpaqueAlgorithm: TypeAlias = Algorithm[object, State]
+"""An algorithm that was found by its id: only the algorithm itself knows what its settings and states have."""
 
 UNDECLARED: Final = ("boundary",)
 """What an algorithm finds that does not say so."""

@@ -357,9 +357,11 @@ class ViolationFindings:
         """Plot types over time and Pareto fronts, and draw a replay of each of the first types; return the files."""
         self._missing = drawing.missing
         files = [await asyncio.to_thread(draw_types, self._found, drawing.folder)]
-        if isinstance(self._fetched.plan.config, MultiObjectiveConfig):
+        config = self._fetched.plan.config
+        if isinstance(config, MultiObjectiveConfig):
             criticality = await _criticality(drawing.api, self._fetched)
-            files.append(await asyncio.to_thread(_draw_fronts, self._fetched, criticality, drawing.folder))
+            fronts = await asyncio.to_thread(_draw_fronts, self._fetched, config, criticality, drawing.folder)
+            files.append(fronts)
         return files + await draw_gallery(self._found, drawing, TYPES_DRAWN)
 
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
@@ -451,7 +453,9 @@ async def _criticality(api: Api, fetched: FetchedArchive) -> FloatArray:
     return np.array([found[int(number)] for number in fetched.archive.numbers])
 
 
-def _draw_fronts(fetched: FetchedArchive, criticality: FloatArray, folder: Path) -> Path:
+def _draw_fronts(
+    fetched: FetchedArchive, config: MultiObjectiveConfig, criticality: FloatArray, folder: Path
+) -> Path:
     """Plot how the Pareto front moved over the generations; return the file."""
     # matplotlib takes half a second to load: only commands that draw wait for it.
     from brink.plots.campaign import figure_fronts
@@ -463,7 +467,7 @@ def _draw_fronts(fetched: FetchedArchive, criticality: FloatArray, folder: Path)
         fetched.archive.vectors,
         fetched.generations,
         criticality,
-        fetched.plan.config,
+        config,
         by_gap=not isinstance(problem, NpcActions) or problem.by_gap,
         unavoidable=UNAVOIDABLE_M,
     )

@@ -19,14 +19,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from sqlalchemy import Connection
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 
-from brink.search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored, Seeded
+from brink.search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored, Seeded, State
 from brink.search.analysis.boundary import IndexArray, distinct_boundary, has_evidence
 from brink.search.archive import Archive
 from brink.search.document import Document
@@ -424,7 +424,7 @@ class Stepper:
         plan: Plan,
         evaluations: Mapping[int, Evaluation],
         without_result: Sequence[int],
-        told: Any,
+        told: State,
         asked: Asked,
         finished: bool,
         began: float,
@@ -555,7 +555,7 @@ def _is_open(outcomes: Iterable[JobOutcome]) -> bool:
     return any(outcome.status in (JobStatus.QUEUED, JobStatus.LEASED) for outcome in outcomes)
 
 
-def _checkpoint(plan: Plan, state: Any, generation: int, *, counted: bool) -> Checkpoint:
+def _checkpoint(plan: Plan, state: State, generation: int, *, counted: bool) -> Checkpoint:
     """Return the checkpoint of a state on which `ask` has not been called since the last `tell`.
 
     Args:

@@ -13,13 +13,14 @@ from sqlalchemy import Connection
 
 from brink.search.algorithm import (
     UNDECLARED,
-    AnyAlgorithm,
     Candidate,
     Known,
     KnowsFlight,
+    OpaqueAlgorithm,
     Question,
     Seeded,
     SeedRequest,
+    State,
     WarmStarts,
     ask_each,
     declared_finds,
@@ -74,8 +75,8 @@ class Plan:
     """
 
     problem: Problem
-    algorithm: AnyAlgorithm
-    config: Any
+    algorithm: OpaqueAlgorithm
+    config: object
     neighbourhood: Neighbourhood
     body: CampaignBody
 
@@ -109,7 +110,7 @@ class LiveSearch:
     plan: Plan
     generation: int
     asked: int
-    state: Any
+    state: State
     unstored: tuple[tuple[int, Candidate], ...] = ()
     is_stored: bool = False
     size: int = 0
@@ -458,12 +459,13 @@ def start_search(body: CampaignBody, known: Sequence[KnownRecord] = ()) -> LiveS
     return LiveSearch(plan=plan, generation=0, asked=0, state=state)
 
 
-def _first_state(plan: Plan, known: Known) -> Any:
+def _first_state(plan: Plan, known: Known) -> State:
     space, seed, budget = plan.problem.space, plan.body.seed, plan.body.budget.simulations
     if not len(known) and not len(known.points):
         return plan.algorithm.start(space, plan.config, seed=seed, budget=budget)
     assert isinstance(plan.algorithm, WarmStarts)  # checked on submission
-    return plan.algorithm.start_with(space, plan.config, seed=seed, budget=budget, known=known)
+    state: State = plan.algorithm.start_with(space, plan.config, seed=seed, budget=budget, known=known)
+    return state
 
 
 def ask_more(live: LiveSearch, most: int) -> LiveSearch:
@@ -516,7 +518,7 @@ def next_piece(live: LiveSearch) -> tuple[LiveSearch, Asked]:
     return replace(asking, unstored=left, is_stored=not left), asked
 
 
-def seed_request(plan: Plan, state: Any) -> SeedRequest | None:
+def seed_request(plan: Plan, state: State) -> SeedRequest | None:
     """Return the seeds that the algorithm waits for, or None."""
     return plan.algorithm.wanted(state) if isinstance(plan.algorithm, Seeded) else None
 

@@ -62,14 +62,15 @@ class Tolerances:
             NotFound: The campaign was deleted meanwhile.
             Unavailable: Too many archives are being worked on.
         """
-        if not isinstance(read.plan.config, ToleranceConfig):
+        config = read.plan.config
+        if not isinstance(config, ToleranceConfig):
             raise InvalidInput.at(
                 "/path/campaign_id",
                 f"campaign {campaign.id}: expected a search for tolerances ({Tolerance.id}), got "
                 f"{read.plan.body.algorithm.id}",
             )
         return await self._cache.get(
-            campaign.id, read.generation, lambda: self._compute(campaign, read, read.plan.config)
+            campaign.id, read.generation, lambda: self._compute(campaign, read, config)
         )
 
     def _compute(self, campaign: Campaign, read: ReadArchive, config: ToleranceConfig) -> CampaignTolerance:

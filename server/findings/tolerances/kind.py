@@ -88,7 +88,9 @@ class TolerancesKind(Kind):
 
     def brief(self, listed: Listed) -> str:
         """Return how many cells there are."""
-        layout = Layout(listed.plan.problem.space, listed.plan.config)
+        config = listed.plan.config
+        assert isinstance(config, ToleranceConfig)  # see `fits`
+        layout = Layout(listed.plan.problem.space, config)
         return counted(len(layout.cells), "tolerance")
 
     def leads_to(self, subject: Subject) -> list[Step]:
