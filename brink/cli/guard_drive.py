@@ -1,12 +1,9 @@
 """`brink guard drive`: fresh drives without and with a guard and the fallback that it triggers."""
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-import numpy as np
 import typer
 
 from brink.api.live import Steps
@@ -37,7 +34,6 @@ from brink.guard.model import GuardModel
 from brink.guard.seen import SeenDrives, check_unseen
 from brink.guard.sight import LEAD_S, WINDOW_S, Reported
 from brink.search.analysis.guard_drives import Estimate, GuardWorth
-from brink.search.analysis.intervals import CONFIDENCE
 from brink.search.space import BoolArray
 from brink.server.campaigns.body import PluginChoice
 from brink.server.errors import InvalidInput
@@ -156,7 +152,11 @@ def drive(
             task, option, chosen, drives=drives, seeds=used, processes=processes, on_progress=steps.show
         )
         parts = {} if seen is None else seen.parts(loop.specs)
-        document = {"problem": choice.model_dump(mode="json"), **_document(loop, option, parts)}
+        document = {
+            "problem": choice.model_dump(mode="json"),
+            "guard": option.to_json(),
+            **loop.to_json(parts),
+        }
         if out is not None:
             _remove_pictures(out)
             write_json(out / "drives.json", document)
@@ -219,76 +219,6 @@ def _remove_pictures(out: Path) -> None:
     """Remove the pictures of an earlier run, which would not belong to the new figures."""
     for picture in (out / "trade-off.png", *out.glob("prevented-[0-9]*.png")):
         picture.unlink(missing_ok=True)
-
-
-def _sights(loop: GuardedLoop, condition: Condition, counts: BoolArray | None = None) -> list[dict[str, Any]]:
-    """Group violations without the guard by what was reported before them, with how many are prevented.
-
-    Args:
-        loop: The drives.
-        condition: The condition.
-        counts: Mask of the drives that count; all by default.
-    """
-    rows = []
-    for reported in Reported:
-        places = [
-            i
-            for i, sight in enumerate(loop.sights)
-            if sight is not None and sight.reported is reported and (counts is None or counts[i])
-        ]
-        sights = [sight for i in places if (sight := loop.sights[i]) is not None]
-        rows.append(
-            {
-                "reported": str(reported),
-                "violations": len(places),
-                "never_reported": sum(not sight.ever for sight in sights),
-                "in_range": sum(sight.in_range for sight in sights),
-                "prevented": sum(not condition.outcomes[i].violates(loop.requirements) for i in places),
-            }
-        )
-    return rows
-
-
-def _by_requirement(loop: GuardedLoop, condition: Condition) -> dict[str, dict[str, int]]:
-    """Return how many drives violate each requirement, without and with the guard."""
-    without = Counter(name for one in loop.without for name in one.violated_at_s)
-    with_guard = Counter(name for one in condition.outcomes for name in one.violated_at_s)
-    names = loop.specs[0].requirements
-    return {name: {"without": without[name], "with": with_guard[name]} for name in names}
-
-
-def _document(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolArray]) -> dict[str, Any]:
-    best = loop.recommended()
-    return {
-        "guard": option.to_json(),
-        "requirements": list(loop.requirements),
-        "drives": len(loop.specs),
-        "seeds": sorted(set(loop.seed)),
-        "confidence": CONFIDENCE,
-        "conditions": [
-            {
-                "threshold": condition.threshold,
-                "worth": asdict(loop.worth(condition)),
-                "parts": {name: asdict(loop.worth(condition, mask)) for name, mask in parts.items()},
-                "by_requirement": _by_requirement(loop, condition),
-                "violations_by_report": _sights(loop, condition),
-            }
-            for condition in loop.conditions
-        ],
-        "recommended": None if best is None else _recommendation(loop, best),
-    }
-
-
-def _recommendation(loop: GuardedLoop, best: Condition) -> dict[str, Any]:
-    """Return the recommended threshold, the seeds on which it was chosen, and its benefit on the others."""
-    seeds = np.array(loop.seed)
-    return {
-        "threshold": best.threshold,
-        "most_lost_when_safe": MOST_LOST,
-        "chosen_on": np.unique(seeds[loop.chooses]).tolist(),
-        "reported_on": np.unique(seeds[~loop.chooses]).tolist(),
-        "worth": asdict(loop.worth(best, ~loop.chooses)),
-    }
 
 
 def _print(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolArray]) -> None:
@@ -383,7 +313,7 @@ def _print_requirements(loop: GuardedLoop, best: Condition) -> None:
     """Print how many drives violate each requirement, also those that do not count."""
     names = ("without the guard", f"at threshold {best.threshold:.3f}")
     rows = [
-        (name, f"{row['without']:,}", f"{row['with']:,}") for name, row in _by_requirement(loop, best).items()
+        (name, f"{row['without']:,}", f"{row['with']:,}") for name, row in loop.by_requirement(best).items()
     ]
     console().print(
         "", plain_table(f"of all {len(loop.specs):,} drives, violate", *names, right=names, rows=rows)
@@ -395,7 +325,7 @@ def _print_sights(loop: GuardedLoop, best: Condition, counts: BoolArray) -> None
     keys = ("violations", "never_reported", "in_range", "prevented")
     rows = [
         (_WORDS[Reported(row["reported"])], *(f"{row[key]:,}" for key in keys))
-        for row in _sights(loop, best, counts)
+        for row in loop.by_report(best, counts)
         if row["violations"]
     ]
     table = plain_table(f"reported in the {WINDOW_S:g} s before", *names, right=names, rows=rows)

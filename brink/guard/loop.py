@@ -11,16 +11,18 @@ The recommended threshold is chosen on the first half of the seeds. What it is w
 which had no part in the choice.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from typing import Final, TypeVar
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
 from brink.guard.drives import check_problem, random_specs
-from brink.guard.sight import Sight, sight_of
+from brink.guard.sight import Reported, Sight, sight_of
 from brink.search.analysis.guard_drives import GuardedDrives, GuardWorth, guard_worth
+from brink.search.analysis.intervals import CONFIDENCE
 from brink.search.space import BoolArray
 from brink.sim.catalogue import make_simulator
 from brink.sim.episode import EpisodeSpec, Verdict
@@ -191,6 +193,75 @@ class GuardedLoop:
             if before.violates(self.requirements) and not after.violated_at_s
         ]
         return sorted(found, key=lambda number: (not _collides(self.without[number]), number))
+
+    def by_report(self, condition: Condition, counts: BoolArray | None = None) -> list[dict[str, Any]]:
+        """Group violations without the guard by what was reported before them, with how many are prevented.
+
+        Args:
+            condition: The condition.
+            counts: Mask of the drives that count; all by default.
+        """
+        rows = []
+        for reported in Reported:
+            sights = {
+                number: sight
+                for number, sight in enumerate(self.sights)
+                if sight is not None and sight.reported is reported and (counts is None or counts[number])
+            }
+            rows.append(
+                {
+                    "reported": str(reported),
+                    "violations": len(sights),
+                    "never_reported": sum(not sight.ever for sight in sights.values()),
+                    "in_range": sum(sight.in_range for sight in sights.values()),
+                    "prevented": sum(
+                        not condition.outcomes[number].violates(self.requirements) for number in sights
+                    ),
+                }
+            )
+        return rows
+
+    def by_requirement(self, condition: Condition) -> dict[str, dict[str, int]]:
+        """Return how many drives violate each requirement, without and with the guard."""
+        without = Counter(name for one in self.without for name in one.violated_at_s)
+        with_guard = Counter(name for one in condition.outcomes for name in one.violated_at_s)
+        names = self.specs[0].requirements
+        return {name: {"without": without[name], "with": with_guard[name]} for name in names}
+
+    def to_json(self, parts: Mapping[str, BoolArray]) -> dict[str, Any]:
+        """Return all figures as a JSON object.
+
+        The recommendation has the seeds on which its threshold was chosen, and its benefit on the others.
+
+        Args:
+            parts: Masks of drives for which the benefit is also given, by name.
+        """
+        best, seeds = self.recommended(), np.array(self.seed)
+        return {
+            "requirements": list(self.requirements),
+            "drives": len(self.specs),
+            "seeds": sorted(set(self.seed)),
+            "confidence": CONFIDENCE,
+            "conditions": [
+                {
+                    "threshold": one.threshold,
+                    "worth": asdict(self.worth(one)),
+                    "parts": {name: asdict(self.worth(one, mask)) for name, mask in parts.items()},
+                    "by_requirement": self.by_requirement(one),
+                    "violations_by_report": self.by_report(one),
+                }
+                for one in self.conditions
+            ],
+            "recommended": None
+            if best is None
+            else {
+                "threshold": best.threshold,
+                "most_lost_when_safe": MOST_LOST,
+                "chosen_on": np.unique(seeds[self.chooses]).tolist(),
+                "reported_on": np.unique(seeds[~self.chooses]).tolist(),
+                "worth": asdict(self.worth(best, ~self.chooses)),
+            },
+        }
 
 
 def _collides(outcome: Outcome) -> bool:
