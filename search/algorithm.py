@@ -195,6 +195,8 @@ class Algorithm(Protocol[C, S]):
         config_type: Frozen dataclass whose fields are declared with `brink.search.settings.setting`.
         finds: Optional. The kinds of findings that it finds, what it is for first, such as ``("pairs",)``; by
             default, ``("boundary",)``. See below.
+        minimises: Optional. What the state's `fitness` is called: ``fitness`` by default, or ``criticality``; empty
+            if the search minimises nothing that says how it goes on.
         suggested: Optional. Place among the algorithms that a new campaign may begin with, the lowest first.
         former: Optional. For settings that were added later, what their value was before, by name.
         is_baseline: Optional. Whether it draws solutions at random, without a search.
@@ -282,6 +284,11 @@ OpaqueAlgorithm: TypeAlias = Algorithm[object, State]
 
 UNDECLARED: Final = ("boundary",)
 """What an algorithm finds that does not say so."""
+
+
+def declared_minimises(algorithm: object) -> str:
+    """Return the name of what an algorithm minimises; empty for nothing."""
+    return str(getattr(algorithm, "minimises", "fitness"))
 
 
 def declared_finds(algorithm: object) -> tuple[str, ...]:

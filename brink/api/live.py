@@ -181,30 +181,16 @@ class CampaignDisplay(LiveDisplay[Progress]):
         """Return the name, value and sparkline of each line of the panel."""
         last = self._series[-1] if self._series else None
         shares = [one.unsafe / one.evaluated for one in self._series if one.evaluated]
-        best = [one.best_fitness for one in self._series if one.best_fitness is not None]
-        # Searches for diverse violations minimise criticality, searches on a data set a fitness.
-        diverse = "boundary" not in progress.finds and not progress.measured
-        rows = [
-            ("unsafe", f"{shares[-1]:.0%}" if shares else "–", spark(shares)),
-            (
-                "criticality" if diverse else "best fitness",
-                f"{last.best_fitness:.3f}" if last and last.best_fitness is not None else "–",
-                spark(best),
-            ),
-            ("rate", rate_words(progress), ""),
-            ("workers", workers_words(progress), ""),
-        ]
-        if (
-            diverse and not best
-        ):  # nothing that is rated yet, or nothing to rate, as when solutions are simulated again
-            rows = [row for row in rows if row[0] != "criticality"]
-        if progress.is_for("tolerances"):  # it rates no solution
-            rows = [row for row in rows if row[0] != "criticality"]
-        if progress.is_for("pairs"):  # fitness and boundary are not what it looks for
-            rows = [row for row in rows if row[0] != "best fitness"]
-        elif progress.is_for("boundary"):
+        rated = self._series if progress.minimises else []
+        best = [one.best_fitness for one in rated if one.best_fitness is not None]
+        rows = [("unsafe", f"{shares[-1]:.0%}" if shares else "–", spark(shares))]
+        if best or progress.minimises == "fitness":
+            name = "best fitness" if progress.minimises == "fitness" else progress.minimises
+            rows.append((name, f"{best[-1]:.3f}" if best else "–", spark(best)))
+        if progress.is_for("boundary"):
             boundary = f"{last.dbs} distinct, {last.strict_dbs} strict" if last else "–"
-            rows.insert(2, ("boundary", boundary, spark([one.dbs or 0 for one in self._series])))
+            rows.append(("boundary", boundary, spark([one.dbs or 0 for one in self._series])))
+        rows += [("rate", rate_words(progress), ""), ("workers", workers_words(progress), "")]
         if progress.measured:
             rows.append(("on data", f"{progress.measured} measured   simulated {progress.evaluated}", ""))
         if failures_of(progress):

@@ -58,7 +58,6 @@ class Facts:
         detector: Whether the detector of another campaign meets its tolerances; None if none was named.
         repeats: Simulations of its solutions with other seeds, in separate campaigns.
         rules: The rules of its unsafe region.
-        no_rules: Why there are none; empty if there are some, or nothing to explain.
         jobs: Where its results came from; None if verdicts are computed.
         random: Random search on the same problem, the largest first.
         sample: Its first evaluated solution, with provenance.
@@ -71,7 +70,6 @@ class Facts:
     detector: DetectorView | None
     repeats: Sequence[RepeatsView]
     rules: Rules | None
-    no_rules: str
     jobs: Jobs | None
     random: Sequence[CampaignView]
     sample: SolutionView | None
@@ -147,7 +145,6 @@ async def fetch_facts(api: Api, campaign: str, show: Show, *, episodes: str | No
     fetched = await fetch_archive(api, view.id)
     problem, archive = fetched.plan.problem, fetched.archive
     show("comparing with random search", 0, 0)
-    rules, no_rules = _rules(fetched)
     detector = None
     if episodes is not None:
         detector = await api.read(DetectorView, f"{path}/tolerance/detector", {"episodes": episodes})
@@ -159,21 +156,20 @@ async def fetch_facts(api: Api, campaign: str, show: Show, *, episodes: str | No
         fetched=fetched,
         detector=detector,
         repeats=await api.read(list[RepeatsView], f"{path}/repeats"),
-        rules=rules,
-        no_rules=no_rules,
+        rules=_rules(fetched),
         jobs=None if isinstance(problem, InProcessProblem) else await _jobs(api, view.id),
         random=await _random_search(api, view),
         sample=None if first is None else await api.read(SolutionView, f"{path}/solutions/{first}"),
     )
 
 
-def _rules(fetched: FetchedArchive) -> tuple[Rules | None, str]:
-    """Return the rules of the unsafe region, or why there are none."""
+def _rules(fetched: FetchedArchive) -> Rules | None:
+    """Return the rules of the unsafe region; None if there is nothing to explain, or an extra is missing."""
     unsafe = fetched.archive.unsafe
     if not unsafe.any() or unsafe.all():
-        return None, ""
+        return None
     try:
-        rules = region_rules(
+        return region_rules(
             fetched.archive,
             fetched.plan.problem.space,
             unsafe,
@@ -181,9 +177,8 @@ def _rules(fetched: FetchedArchive) -> tuple[Rules | None, str]:
             seed=fetched.body.seed,
             recorded=fetched.active,
         )
-    except MissingExtra as error:
-        return None, str(error)
-    return rules, ""
+    except MissingExtra:
+        return None
 
 
 async def _jobs(api: Api, campaign: str) -> Jobs:

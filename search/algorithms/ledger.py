@@ -539,6 +539,7 @@ class LedgerAlgorithm(Generic[C, S]):
         summary: One line for catalogues.
         config_type: Type of the settings.
         finds: Kinds of findings, what it is for first.
+        minimises: What the state's `fitness` is called; empty for nothing.
         suggested: Place among the algorithms that a new campaign may begin with, the lowest first; None for no place.
         former: For settings that were added later, what their value was before, by name.
         is_baseline: Whether it draws solutions at random, without a search.
@@ -550,6 +551,7 @@ class LedgerAlgorithm(Generic[C, S]):
     summary: str
     config_type: type[C]
     finds: tuple[str, ...] = UNDECLARED
+    minimises: str = "fitness"
     suggested: int | None = None
     former: Mapping[str, Any] = MappingProxyType({})
     is_baseline: bool = False

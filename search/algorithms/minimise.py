@@ -234,6 +234,7 @@ class Minimise(LedgerAlgorithm[MinimiseConfig, MinimiseState]):
 
     id = "minimise@1"
     finds = ()
+    minimises = ""
     internal = True
     summary = (
         "No search: reverts the differences of given pairs one by one, as long as the unsafe side is unsafe."

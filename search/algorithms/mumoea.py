@@ -261,6 +261,7 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
     suggested = 4
     former = MappingProxyType({"distance": "paper"})
     finds = ("violations",)
+    minimises = "criticality"
     summary = "muMOEA: adaptive multi-objective search, seeded by patterns or a language model."
     config_type: type[Any] = MumoeaConfig
     needed_objectives = (CRITICALITY,)

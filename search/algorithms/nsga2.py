@@ -68,6 +68,7 @@ class Nsga2(LedgerAlgorithm[Nsga2Config, MultiObjectiveState]):
     id = "nsga2@1"
     former = MappingProxyType({"distance": "paper"})
     finds = ("violations",)
+    minimises = "criticality"
     summary = "NSGA-II: critical and diverse scenarios of scripted traffic, with fixed rates."
     config_type: type[Any] = Nsga2Config
     needed_objectives = (CRITICALITY,)

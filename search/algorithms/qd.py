@@ -208,6 +208,7 @@ class Qd(LedgerAlgorithm[QdConfig, QdState]):
 
     id = "qd@1"
     finds = ("violations",)
+    minimises = "criticality"
     summary = "MAP-Elites: as many kinds of violations as possible, the most critical of each."
     config_type = QdConfig
     needs_measures = True

@@ -78,6 +78,7 @@ class Repeats(LedgerAlgorithm[RepeatsConfig, RepeatsState]):
 
     id = "repeat@1"
     finds = ()
+    minimises = ""
     internal = True
     summary = "No search: given solutions, each simulated with many seeds."
     config_type = RepeatsConfig

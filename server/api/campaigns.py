@@ -49,7 +49,7 @@ from brink.server.campaigns.body import (
 )
 from brink.server.campaigns.deletion import TreeMember
 from brink.server.campaigns.known import count_known
-from brink.server.campaigns.plan import finds_of
+from brink.server.campaigns.plan import finds_of, minimises_of
 from brink.server.campaigns.reported import ReportedResults
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign, labelled
 from brink.server.campaigns.view_store import read_campaign_progress
@@ -377,6 +377,7 @@ def read_progress(
         digest=archive.digest if archive is not None else None,
         finished_at=campaign.finished_at,
         finds=list(finds_of(campaign.body.algorithm.id)),
+        minimises=minimises_of(campaign.body.algorithm.id),
         origins=view_store.count_origins(connection, campaign.id) if campaign.finished_at else {},
         known=_known_view(connection, campaign),
         asking=asking,

@@ -173,6 +173,13 @@ class Progress(View):
     finds: Annotated[
         list[str], Field(description="Kinds of findings that its algorithm finds, its main purpose first.")
     ] = Field(default_factory=list)
+    minimises: Annotated[
+        str,
+        Field(
+            description="Name of a generation's `best_fitness`: `fitness` or `criticality`; empty if the algorithm "
+            "minimises nothing that shows its progress."
+        ),
+    ] = ""
     origins: Annotated[
         dict[str, int],
         Field(description="Number of solutions by origin, once the campaign has ended; empty if unknown."),

@@ -13,6 +13,7 @@ from sqlalchemy import Connection
 
 from brink.search.algorithm import (
     UNDECLARED,
+    AnyAlgorithm,
     Candidate,
     Known,
     KnowsFlight,
@@ -24,6 +25,7 @@ from brink.search.algorithm import (
     WarmStarts,
     ask_each,
     declared_finds,
+    declared_minimises,
 )
 from brink.search.analysis.boundary import MOST_COST, IndexArray, distinct_boundary
 from brink.search.archive import ARRAYS, Archive, Neighbourhood
@@ -410,13 +412,24 @@ def store_campaign(connection: Connection, campaign: PreparedCampaign) -> Campai
 
 def finds_of(algorithm_id: str) -> tuple[str, ...]:
     """Return the kinds of findings that an algorithm declares; the boundary if it cannot be loaded."""
+    algorithm = _loaded(algorithm_id)
+    return UNDECLARED if algorithm is None else declared_finds(algorithm)
+
+
+def minimises_of(algorithm_id: str) -> str:
+    """Return the name of what an algorithm minimises; empty for nothing, or if it cannot be loaded."""
+    algorithm = _loaded(algorithm_id)
+    return "" if algorithm is None else declared_minimises(algorithm)
+
+
+def _loaded(algorithm_id: str) -> AnyAlgorithm | None:
     try:
-        return declared_finds(make_algorithm(algorithm_id))
+        return make_algorithm(algorithm_id)
     except InvalidInput:  # campaigns can be viewed without their plug-ins
-        return UNDECLARED
+        return None
     except Exception:  # and with plug-ins that fail, or do not return
         log.exception("plug-in cannot be loaded", extra={"plugin": algorithm_id})
-        return UNDECLARED
+        return None
 
 
 def find_boundary(archive: Archive, t_b: float, d_th: float) -> IndexArray:

@@ -25,6 +25,7 @@ class Edge(WarmLedgerAlgorithm[EdgeConfig, EdgeState]):
     id = "edge@1"
     suggested = 1
     finds = ("pairs", "boundary")
+    minimises = ""
     without_chance: ClassVar[Mapping[str, float]] = {"checks": 0, "margin": 0.0, "eps": 0.005, "d_th": 0.1}
     """Settings that suit a function without chance, whose boundary is sharp."""
     summary = (

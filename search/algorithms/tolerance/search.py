@@ -23,6 +23,7 @@ class Tolerance(LedgerAlgorithm[ToleranceConfig, ToleranceState]):
 
     id = "tolerance@1"
     finds = ("tolerances",)
+    minimises = ""
     summary = "Tolerances: how severe an error may be before it makes a given share of drives violate."
     config_type = ToleranceConfig
 

@@ -64,7 +64,7 @@ def test_its_pairs_are_what_the_campaign_is_for(
     found = expect(client.get(f"{API}/{campaign}/findings"))
     assert (found["findings"][0]["kind"], found["findings"][0]["role"]) == ("pairs", "sought")
     assert found["words"].startswith(f"{pairs['distinct']} distinct pairs")
-    assert len(found["findings"][0]["view"]["rings"]) == pairs["distinct"]
+    assert len(found["findings"][0]["rings"]) == pairs["distinct"]
     text = client.get(f"{API}/{campaign}/findings/pairs", params={"format": "csv"}).text
     assert len(list(csv.DictReader(io.StringIO(text)))) == pairs["distinct"]
 

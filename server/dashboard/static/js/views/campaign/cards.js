@@ -1,7 +1,7 @@
 /** Cards of a campaign: parameter dependence, repeats, settings. */
 
 import { h, replace, text } from "../../dom.js";
-import { count, figure, percent, plural, spaced } from "../../format.js";
+import { capital, count, figure, percent, plural, spaced } from "../../format.js";
 import { loadOnNews } from "../../polling.js";
 import { link } from "../../router.js";
 import { badge } from "../../parts/elements.js";
@@ -159,8 +159,8 @@ function inWords(progress, generations, algorithm) {
   else if (progress.status === "running") {
     told.push(`Generation ${progress.generation + 1} is being simulated: ${plural(progress.leased, "job")} on workers, ${count(progress.queued)} in the queue.`);
   } else if (progress.status === "paused") told.push("Paused: workers get no jobs.");
-  if (progress.finds[0] !== "tolerances" && last?.best_fitness !== null && last?.best_fitness !== undefined) {
-    told.push(`${progress.finds.includes("boundary") || progress.measured ? "Fitness" : "Criticality"} of the last generation: best ${figure(last.best_fitness)}, median ${figure(last.median_fitness)}.`);
+  if (progress.minimises && last?.best_fitness !== null && last?.best_fitness !== undefined) {
+    told.push(`${capital(progress.minimises)} of the last generation: best ${figure(last.best_fitness)}, median ${figure(last.median_fitness)}.`);
   }
   const origins = Object.entries(progress.origins);
   if (origins.length) told.push(`Origins of solutions: ${origins.map(([name, number]) => `${spaced(name)} ${count(number)}`).join(", ")}.`);

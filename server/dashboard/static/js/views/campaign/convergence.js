@@ -2,6 +2,7 @@
 
 import { Conditional, UNCHANGED } from "../../api.js";
 import { h, text } from "../../dom.js";
+import { capital } from "../../format.js";
 import { loadOnNews } from "../../polling.js";
 import { rewrite } from "../../router.js";
 import { chart } from "../../parts/charts.js";
@@ -122,10 +123,9 @@ export function convergenceCards(context, id, query, thresholds) {
       card.hidden = known.list.length === 0;
       finds = progress.finds;
       hide();
-      // A search that minimises nothing has none; those for tolerances had, in older versions.
-      fitnessCard.hidden = progress.finds[0] === "tolerances" || known.list.every((one) => one.best_fitness === null);
-      text(fitnessTitle, `${progress.finds.includes("boundary") || progress.measured ? "Fitness" : "Criticality"} by generation`);
-      text(fitnessHint, `The quantity that the algorithm minimises.${progress.finds.includes("boundary") ? " 0 is on the boundary." : ""}`);
+      fitnessCard.hidden = !progress.minimises || known.list.every((one) => one.best_fitness === null);
+      text(fitnessTitle, `${capital(progress.minimises)} by generation`);
+      text(fitnessHint, `The quantity that the algorithm minimises.${progress.finds[0] === "boundary" ? " 0 is on the boundary." : ""}`);
       if (generations !== known || known.next !== this.drawn) {
         generations = known;
         this.drawn = known.next;
