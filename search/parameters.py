@@ -374,8 +374,8 @@ class Categorical:
         wanted = limit if isinstance(limit, list | tuple) else [limit]
         if isinstance(limit, Mapping) or not wanted:
             raise SpaceError(f"{self.name}: expected some of {', '.join(whole.choices)}, got {limit!r}")
-        is_number = [isinstance(one, int) and not isinstance(one, bool) for one in wanted]
-        names = [str(one) if number else one for one, number in zip(wanted, is_number, strict=True)]
+        is_number = [isinstance(value, int) and not isinstance(value, bool) for value in wanted]
+        names = [str(value) if number else value for value, number in zip(wanted, is_number, strict=True)]
         codes = sorted({int(whole.encode(name)) for name in names})
         if len(codes) == len(whole.choices):
             return whole

@@ -399,11 +399,11 @@ def _check_reload(
         _same_candidates(waiting.pending, run.generations[0]),
         "load: expected the pending candidates of a stored state",
     )
-    told = 0
+    archived = 0
     for position, stored in enumerate(run.documents, start=1):
-        told += sum(isinstance(evaluate(c), Scored) for c in run.generations[position - 1])
+        archived += sum(isinstance(evaluate(c), Scored) for c in run.generations[position - 1])
         state = algorithm.load(
-            space, config, Document.from_bytes(stored), stored_and_restored(archive.first(told))
+            space, config, Document.from_bytes(stored), stored_and_restored(archive.first(archived))
         )
         same = algorithm.dump(state).to_bytes() == stored
         _expect(same, f"load: expected the same state as stored after generation {position}")

@@ -206,12 +206,12 @@ def replay(reductions: Reductions, verdicts: Mapping[int, bool | None], budget: 
         numbers = range(number, number + len(trials))
         if any(one not in verdicts for one in numbers):
             break
-        known = [verdicts[one] for one in numbers]
-        for trial, one, unsafe in zip(trials, numbers, known, strict=True):
+        outcomes = [verdicts[one] for one in numbers]
+        for trial, one, unsafe in zip(trials, numbers, outcomes, strict=True):
             tried[trial.pair] += 1
             if unsafe:
                 latest[trial.pair] = one
-        reductions = reductions.after(trials, known)
+        reductions = reductions.after(trials, outcomes)
         number += len(trials)
     return Reduced(reductions=reductions, latest=tuple(latest), tried=tuple(tried))
 

@@ -315,17 +315,17 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
             KeyError: An evaluation lacks the criticality.
         """
         genome = TrafficGenome.of(state.ledger.space)
-        told = _with_progress(state, select_survivors(state, evaluations, genome), evaluations)
-        config = told.config
+        survived = _with_progress(state, select_survivors(state, evaluations, genome), evaluations)
+        config = survived.config
         stuck = config.differential == "always" or (
-            config.differential == "stuck" and told.stuck >= config.stuck_after
+            config.differential == "stuck" and survived.stuck >= config.stuck_after
         )
-        if not stuck or told.ledger.left <= 0 or not told.population:
-            return _bred(told, genome)
-        wanting = replace(told, want=Want.DIFFERENTIAL, stuck=0)
+        if not stuck or survived.ledger.left <= 0 or not survived.population:
+            return _bred(survived, genome)
+        wanting = replace(survived, want=Want.DIFFERENTIAL, stuck=0)
         if config.seeder == "llm":
             return wanting
-        rng = generator(told.ledger.seed, Stream.SEEDS, told.ledger.generation)
+        rng = generator(survived.ledger.seed, Stream.SEEDS, survived.ledger.generation)
         while wanting.want is Want.DIFFERENTIAL:
             wanting = _with_seeds(wanting, self.heuristic_seeds(genome, config.seeds, rng), genome)
         return wanting

@@ -92,14 +92,14 @@ class Nsga2(LedgerAlgorithm[Nsga2Config, MultiObjectiveState]):
             KeyError: An evaluation lacks the criticality.
         """
         genome = TrafficGenome.of(state.ledger.space)
-        told = select_survivors(state, evaluations, genome)
-        rng = breeding_rng(told)
-        if not told.population:
-            return plan_generation(told, [], genome, rng)
-        breeding = Breeding(told, genome, self._newcomer)
+        survived = select_survivors(state, evaluations, genome)
+        rng = breeding_rng(survived)
+        if not survived.population:
+            return plan_generation(survived, [], genome, rng)
+        breeding = Breeding(survived, genome, self._newcomer)
         return plan_generation(
-            told,
-            breeding.children(told.config.population_size, rng),
+            survived,
+            breeding.children(survived.config.population_size, rng),
             genome,
             rng,
             [lambda count: breeding.children(count, rng), lambda count: breeding.mutants(count, rng)],

@@ -230,10 +230,10 @@ class Qd(LedgerAlgorithm[QdConfig, QdState]):
         Raises:
             OrderError: Nothing is pending, or the numbers are not those of the pending candidates.
         """
-        told = state.ledger.pending
+        candidates = state.ledger.pending
         ledger = state.ledger.tell(evaluations)
-        elites = with_elites(state.elites, told, evaluations, state.again, cells=state.config.cells)
-        origins = state.queue_origins[len(told) :]
+        elites = with_elites(state.elites, candidates, evaluations, state.again, cells=state.config.cells)
+        origins = state.queue_origins[len(candidates) :]
         return _planned(replace(state, ledger=ledger, elites=elites, queue_origins=origins))
 
     def _refilled(self, state: QdState) -> QdState:
@@ -437,11 +437,13 @@ class _Variation:
             probability = np.where(space.categorical, 1 / space.dimension, _NUDGED_SHARE)
             parts = zip(space.components, space.slices, strict=True)
             return self._repaired(
-                np.concatenate([mutated(one, parent[part], probability[part], rng) for one, part in parts]),
+                np.concatenate([mutated(each, parent[part], probability[part], rng) for each, part in parts]),
                 rng,
             )
-        one = np.arange(space.dimension) == rng.integers(space.dimension)
-        drawn_again = one if operator is Operator.EDIT else one | (rng.random(one.size) < _REDRAWN_SHARE)
+        chosen = np.arange(space.dimension) == rng.integers(space.dimension)
+        drawn_again = (
+            chosen if operator is Operator.EDIT else chosen | (rng.random(chosen.size) < _REDRAWN_SHARE)
+        )
         return self._repaired(np.where(drawn_again, self._unset(self.new(operator, rng)), parent), rng)
 
     def crossed(self, row: FloatArray, other: FloatArray, rng: np.random.Generator) -> FloatArray:

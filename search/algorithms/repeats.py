@@ -128,9 +128,11 @@ def _planned(config: RepeatsConfig, ledger: Ledger) -> RepeatsState:
         rounds = max(1, config.generation_size // len(given))
         last = min(first - first % len(given) + rounds * len(given), ledger.budget)
         planned = [number % len(given) for number in range(first, last)]
-    seeds: list[int | None] = [config.seed_numbers[one] if config.seed_numbers else None for one in planned]
+    seeds: list[int | None] = [
+        config.seed_numbers[position] if config.seed_numbers else None for position in planned
+    ]
     return RepeatsState(
-        config=config, ledger=ledger.plan([given[one] for one in planned], seed_numbers=seeds)
+        config=config, ledger=ledger.plan([given[position] for position in planned], seed_numbers=seeds)
     )
 
 
@@ -154,7 +156,7 @@ def schedule(
     planned: list[int] = []
     while active and done < most:
         first = len(planned)
-        needed = min(tallies[one].needed for one in active)
+        needed = min(tallies[position].needed for position in active)
         rounds = min(max(1, generation_size // len(active)), most - done, needed)
         planned += active * rounds
         if any(number not in ended for number in range(first, len(planned))):
@@ -162,7 +164,7 @@ def schedule(
         for number in range(first, len(planned)):
             tallies[planned[number]].add(ended[number])
         done += rounds
-        active = [one for one in active if tallies[one].verdict is Verdict.UNDECIDED]
+        active = [position for position in active if tallies[position].verdict is Verdict.UNDECIDED]
     return planned
 
 

@@ -299,9 +299,9 @@ def explained_of(state: SimoodState) -> list[FloatArray]:
         for finalist in finalists_of(state)
         if (key := finalist.tobytes()) in verdicts
     ]
-    hazardous = [(one, sum(unsafe) / len(unsafe)) for one, unsafe in simulated if any(unsafe)]
+    hazardous = [(chain, sum(unsafe) / len(unsafe)) for chain, unsafe in simulated if any(unsafe)]
     ranked = sorted(hazardous, key=lambda pair: -pair[1])  # stable: on ties, the better finalist first
-    return [one for one, _ in ranked[: state.config.explained]]
+    return [chain for chain, _ in ranked[: state.config.explained]]
 
 
 def budget_for(space: SearchSpace, config: SimoodConfig, evaluations: int) -> int:

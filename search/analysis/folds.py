@@ -61,14 +61,14 @@ def divisions(
     divided = [groups] if count else [kind for kind in kinds if np.unique(kind).size >= folds[-1]]
     count = count or folds[-1]
     fold_of = [_spread(kind, unsafe, rng, count) for kind in divided]
-    found = []
+    divisions_found = []
     for which in np.ndindex(*(count,) * len(fold_of)):
         same: BoolArray = np.array([fold == one for fold, one in zip(fold_of, which, strict=True)])
         division = Division(fitted=np.asarray(~same.any(axis=0)), scored=np.asarray(same.all(axis=0)))
         if division.scored.any():
-            found.append(division)
-    has_both = [unsafe[one.fitted].any() and not unsafe[one.fitted].all() for one in found]
-    return found if fold_of and all(has_both) else []
+            divisions_found.append(division)
+    has_both = [unsafe[one.fitted].any() and not unsafe[one.fitted].all() for one in divisions_found]
+    return divisions_found if fold_of and all(has_both) else []
 
 
 def connected(kinds: Sequence[IntArray]) -> IntArray:

@@ -166,14 +166,14 @@ _SHARES: Final = frozenset(
 
 def _ratios(drives: GuardedDrives) -> Mapping[str, tuple[FloatArray, FloatArray, float]]:
     """Return the terms of both sums of each figure, shape ``(n,)`` each, and the largest step of the upper one."""
-    one = np.ones(len(drives))
+    unweighted = np.ones(len(drives))
     before, after = drives.violated_without.astype(float), drives.violated_with.astype(float)
     safe = 1.0 - before
     alarms = safe * drives.alarms
     longest_s = float(drives.intervention_s.max() or drives.time_with_s.mean())
     return {
-        "share_without": (before, one, 1.0),
-        "share_with": (after, one, 1.0),
+        "share_without": (before, unweighted, 1.0),
+        "share_with": (after, unweighted, 1.0),
         "reduction": (after, before, 1.0),
         "prevented_share": (before * (1.0 - after), before, 1.0),
         "caused_share": (safe * after, safe, 1.0),

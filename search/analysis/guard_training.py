@@ -153,10 +153,10 @@ def _score(
     """Write the scores of some drives by a model into a column of `unseen`."""
     if not which.size:
         return
-    rows = bins.indices(np.concatenate([drives[one].features for one in which.tolist()]))
-    ends = np.cumsum([len(unseen[one]) for one in which.tolist()])[:-1]
-    for one, scores in zip(which.tolist(), np.split(model.decision_function(rows), ends), strict=True):
-        unseen[one][:, place] = scores
+    rows = bins.indices(np.concatenate([drives[drive].features for drive in which.tolist()]))
+    ends = np.cumsum([len(unseen[drive]) for drive in which.tolist()])[:-1]
+    for drive, scores in zip(which.tolist(), np.split(model.decision_function(rows), ends), strict=True):
+        unseen[drive][:, place] = scores
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

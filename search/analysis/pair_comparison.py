@@ -281,14 +281,16 @@ def _standing(problem: str, method: str, counts: Sequence[PairCounts], *, comput
         problem=problem,
         method=method,
         known=known,
-        pairs=sum(one.distinct for one in counts),
-        checked=sum(one.checked for one in counts),
-        tried=sum(one.tried for one in counts),
-        distinct=mean_interval([one.distinct for one in counts]),
-        confirmed=mean_interval([one.confirmed for one in counts]) if known == len(counts) else None,
-        precision=Proportion.pooled((one.checked_confirmed, one.checked_judged) for one in counts),
-        overall=Proportion.pooled((one.confirmed, one.judged) for one in counts),
-        component=Proportion.pooled((one.component, one.component + one.scenario) for one in counts),
+        pairs=sum(repeat.distinct for repeat in counts),
+        checked=sum(repeat.checked for repeat in counts),
+        tried=sum(repeat.tried for repeat in counts),
+        distinct=mean_interval([repeat.distinct for repeat in counts]),
+        confirmed=mean_interval([repeat.confirmed for repeat in counts]) if known == len(counts) else None,
+        precision=Proportion.pooled((repeat.checked_confirmed, repeat.checked_judged) for repeat in counts),
+        overall=Proportion.pooled((repeat.confirmed, repeat.judged) for repeat in counts),
+        component=Proportion.pooled(
+            (repeat.component, repeat.component + repeat.scenario) for repeat in counts
+        ),
     )
 
 

@@ -292,9 +292,9 @@ def _tight(rows: FloatArray, steps: Steps, safe: IntArray, unsafe: IntArray, eps
         total += len(some)
         _check_few(total, eps)
     return _Candidates(
-        safe=np.concatenate([one.safe for one in blocks]),
-        unsafe=np.concatenate([one.unsafe for one in blocks]),
-        distance=np.concatenate([one.distance for one in blocks]),
+        safe=np.concatenate([block.safe for block in blocks]),
+        unsafe=np.concatenate([block.unsafe for block in blocks]),
+        distance=np.concatenate([block.distance for block in blocks]),
     )
 
 

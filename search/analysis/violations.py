@@ -268,7 +268,7 @@ class ViolationType:
     def avoidable(self) -> Avoidable | None:
         """The best value among its violations; None if it was measured for none of them."""
         kinds = {violation.avoidable for violation in self.violations}
-        return next((one for one in Avoidable if one in kinds), None)
+        return next((kind for kind in Avoidable if kind in kinds), None)
 
     @property
     def avoided_by(self) -> AvoidedBy | None:

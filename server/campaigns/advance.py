@@ -307,13 +307,13 @@ class Stepper:
 
     def _pause_if_nothing_works(self, campaign: Campaign, outcomes: Sequence[JobOutcome]) -> None:
         """Pause a campaign whose first simulations all failed, instead of waiting for the rest of its generation."""
-        errors = [one.error or "" for one in outcomes if one.status is JobStatus.QUARANTINED]
+        errors = [outcome.error or "" for outcome in outcomes if outcome.status is JobStatus.QUARANTINED]
         if (
             len(errors) < FIRST_FAILURES
             or campaign.completed
             or campaign.failures_accepted
             or campaign.body.execution.max_failed_share > 0.5
-            or any(one.status is JobStatus.DONE for one in outcomes)
+            or any(outcome.status is JobStatus.DONE for outcome in outcomes)
         ):
             return
         reason = f"all of the first {len(errors)} simulations failed. {_advice(errors[0])}"
@@ -602,9 +602,9 @@ def _without_stored(
     first = again[0][1].number if again else None
     before = sum(first is None or max(generation) < first for generation in in_flight)
     stored = {number: vector for generation in in_flight[before:] for number, vector in generation.items()}
-    same = {one.number: vector_bytes(one) for _, one in again[: len(stored)]} == stored
+    same = {candidate.number: vector_bytes(candidate) for _, candidate in again[: len(stored)]} == stored
     if before:
-        oldest = {one.number: vector_bytes(one) for one in live.state.pending}
+        oldest = {candidate.number: vector_bytes(candidate) for candidate in live.state.pending}
         same = same and oldest == in_flight[0]
     if not same:
         message = (
@@ -613,7 +613,7 @@ def _without_stored(
             "with the version that started the campaign"
         )
         raise InvalidInput.at("/algorithm/id", message)
-    left = tuple((number + before, one) for number, one in again[len(stored) :])
+    left = tuple((number + before, candidate) for number, candidate in again[len(stored) :])
     return replace(live, asked=live.asked + before, unstored=left, is_stored=not left)
 
 
@@ -681,8 +681,8 @@ def _status_after(
         return CampaignStatus.RUNNING, ""
     if summary.evaluated or summary.measured or not summary.failed:
         return CampaignStatus.FINISHED, ""
-    one = next((e.reason for e in evaluations.values() if isinstance(e, Failed)), "")
-    example = f". One of the errors: {first_line(one)}" if one else ""
+    reason = next((e.reason for e in evaluations.values() if isinstance(e, Failed)), "")
+    example = f". One of the errors: {first_line(reason)}" if reason else ""
     return CampaignStatus.FAILED, f"all {summary.failed:,} simulations failed{example}"
 
 

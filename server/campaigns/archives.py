@@ -99,14 +99,14 @@ def read_activity(
     effective = rows.copy()
     if problem.records_activity:
         results = view_store.read_results(connection, campaign_id, None if places is None else numbers)
-        for place, number in enumerate(numbers):
+        for position, number in enumerate(numbers):
             check_time()
             text = results.get(number)
             result = json.loads(text) if text else None
-            found = activity_of(problem, problem.space.split(rows[place]), result)
-            if found is not None:
-                recorded[place] = True
-                active[place], effective[place] = found.active, found.effective
+            activity = activity_of(problem, problem.space.split(rows[position]), result)
+            if activity is not None:
+                recorded[position] = True
+                active[position], effective[position] = activity.active, activity.effective
     return ArchiveActivity(recorded=recorded, active=active, effective=effective)
 
 

@@ -76,12 +76,12 @@ class Boundaries:
             InvalidInput: There are too many solutions to compare with each other.
             Unavailable: Too many costly reads are pending, or this one took too long.
         """
-        found = await self._found.get(
+        boundary = await self._found.get(
             (campaign.id, t_b, d_th), read.generation, lambda: _find(campaign, read, t_b, d_th)
         )
-        if isinstance(found, BoundaryTooLarge):
-            raise InvalidInput.at("/query/d_th", f"campaign {campaign.id}: {found}")
-        return found
+        if isinstance(boundary, BoundaryTooLarge):
+            raise InvalidInput.at("/query/d_th", f"campaign {campaign.id}: {boundary}")
+        return boundary
 
     async def grid(self, campaign: Campaign, read: ReadArchive) -> DbsGrid:
         """Return DBS and strict DBS at all thresholds, without distances at which they would take too long.

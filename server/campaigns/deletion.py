@@ -128,13 +128,13 @@ def mark_deleted(connection: Connection, roots: Sequence[str]) -> list[TreeMembe
         Conflict: One of them, or of their follow-ups, has not ended. Nothing is marked.
     """
     doomed = read_trees(connection, roots, lock=True)
-    for one in doomed:
-        if one.status not in ENDED:
-            which = f"campaign {one.id}" + (
-                f", a follow-up of {one.follow_up_of}," if one.follow_up_of else ""
+    for member in doomed:
+        if member.status not in ENDED:
+            which = f"campaign {member.id}" + (
+                f", a follow-up of {member.follow_up_of}," if member.follow_up_of else ""
             )
-            raise Conflict(f"{which} is {one.status}: cancel it before deleting it")
-    gone = [one.id for one in doomed]
+            raise Conflict(f"{which} is {member.status}: cancel it before deleting it")
+    gone = [member.id for member in doomed]
     # The key is free for another submission.
     values = {"deleted_at": database_now(connection), "idempotency_key": None, "sequence": NEXT_SEQUENCE}
     ids = {"ids": gone}

@@ -157,11 +157,11 @@ def _checked(
     rated = [
         (problem.measured_severity(choices, drive.measures, drive.at_least), drive.name) for drive in drives
     ]
-    known = [(one, name) for one, name in rated if one is not None]
-    severity = np.array([one.severity for one, _ in known])
+    rated_drives = [(one, name) for one, name in rated if one is not None]
+    severity = np.array([one.severity for one, _ in rated_drives])
     share, needed, result = None, None, CheckResult.NO_DATA
-    if known:
-        shares = DriveShares.of(curves, severity, np.array([one.is_bound for one, _ in known]))
+    if rated_drives:
+        shares = DriveShares.of(curves, severity, np.array([one.is_bound for one, _ in rated_drives]))
         share = shares.interval(rng, confidence)
         result = CheckResult.TOO_LITTLE
         if share.high <= limit:
@@ -172,12 +172,12 @@ def _checked(
             needed = shares.needed(rng, confidence, limit, MOST_DRIVES)
     elif problem.measures_errors(choices):
         needed = flawless_drives(limit, confidence)
-    worst = sorted((one for one in known if one[0].severity > 0.0), key=lambda one: -one[0].severity)
+    worst = sorted((one for one in rated_drives if one[0].severity > 0.0), key=lambda one: -one[0].severity)
     return CellCheck(
         choices=choices,
         condition=condition,
         severity=severity,
-        bounds=sum(one.is_bound for one, _ in known),
+        bounds=sum(one.is_bound for one, _ in rated_drives),
         share=share,
         tolerated=min(curve.tolerated.value for curve in curves),
         result=result,

@@ -163,13 +163,13 @@ def insert_known(connection: Connection, campaign_id: str, records: Sequence[Kno
                 {
                     "campaign_id": campaign_id,
                     "place": place,
-                    "vector": one.vector,
-                    "is_unsafe": one.unsafe,
-                    "robustness": one.robustness,
-                    "source_id": one.source,
-                    "source_number": one.number,
+                    "vector": record.vector,
+                    "is_unsafe": record.unsafe,
+                    "robustness": record.robustness,
+                    "source_id": record.source,
+                    "source_number": record.number,
                 }
-                for place, one in enumerate(records)
+                for place, record in enumerate(records)
             ],
         )
 

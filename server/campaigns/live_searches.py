@@ -46,8 +46,8 @@ class LiveSearches:
                 oldest = next(iter(self._kept))
                 self._remove(oldest)
                 dropped.append(oldest)
-        for one in dropped:
-            self.on_drop(one)
+        for campaign in dropped:
+            self.on_drop(campaign)
 
     def drop(self, campaign_id: str) -> None:
         """Drop the search of a campaign, if it is in memory."""

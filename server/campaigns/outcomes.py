@@ -58,10 +58,10 @@ class SolutionOutcome:
         Args:
             times: Whether to add the moments of violations.
         """
-        told = "" if self.episode is None else self.episode.words(times=times)
+        words = "" if self.episode is None else self.episode.words(times=times)
         if self.episode is not None and self.episode.deciding:
-            return told
-        return "; ".join(filter(None, (self.verdict, told)))
+            return words
+        return "; ".join(filter(None, (self.verdict, words)))
 
 
 def deciding_requirements(body: CampaignBody) -> tuple[str, ...]:
@@ -190,17 +190,19 @@ class CampaignOutcomes:
         if not self.requirements:
             return ""
         held = self.count(OutcomeKind.HELD) + self.count(OutcomeKind.OTHER)
-        told = f"{held:,} of {len(self.numbers):,} drives {drives_held(self.requirements)}"
+        sentence = f"{held:,} of {len(self.numbers):,} drives {drives_held(self.requirements)}"
         also: Counter[str] = Counter()
         for group, number in zip(self.groups, self.counts.tolist(), strict=True):
             if group.kind is OutcomeKind.OTHER:
                 also.update(dict.fromkeys(group.others, number))
         if also:
-            told += "; of these, " + ", ".join(f"{number:,} {words}" for words, number in also.most_common())
+            sentence += "; of these, " + ", ".join(
+                f"{number:,} {words}" for words, number in also.most_common()
+            )
         elif held:
-            told += "; none of these violated another recorded requirement"
+            sentence += "; none of these violated another recorded requirement"
         missing = len(self.numbers) - self.recorded
-        return told + (f"; not recorded for {missing:,}" if missing else "") + "."
+        return sentence + (f"; not recorded for {missing:,}" if missing else "") + "."
 
 
 @dataclass(slots=True)
@@ -269,15 +271,15 @@ def read_outcomes(
         groups = {group: place for place, group in enumerate(known.groups)}
         recorded = known.recorded
         deciding = {known.requirements} if recorded else set()
-    found = _read_new(connection, campaign_id, problem, new) if len(new) else {}
+    outcomes = _read_new(connection, campaign_id, problem, new) if len(new) else {}
     for place, number in enumerate(new.tolist(), start=before):
-        one = found.get(number)
-        if one is None:  # without a stored solution, the verdict is all that is known
-            one = outcome_of(problem, None, safe=not archive.unsafe[place], robustness=None)
-        if one.episode is not None:
-            deciding.add(one.episode.deciding)
+        outcome = outcomes.get(number)
+        if outcome is None:  # without a stored solution, the verdict is all that is known
+            outcome = outcome_of(problem, None, safe=not archive.unsafe[place], robustness=None)
+        if outcome.episode is not None:
+            deciding.add(outcome.episode.deciding)
             recorded += 1
-        which[place] = groups.setdefault(OutcomeGroup.of(one), len(groups))
+        which[place] = groups.setdefault(OutcomeGroup.of(outcome), len(groups))
     if problem.requirements:
         deciding = {problem.requirements}
     return CampaignOutcomes(
@@ -307,13 +309,13 @@ def _read_new(
         )
     )
     with connection.execution_options(stream_results=True, yield_per=_ROWS_AT_ONCE).execute(query) as rows:
-        found = {}
+        outcomes = {}
         for row in rows:
             check_time()
-            found[row.number] = outcome_of(
+            outcomes[row.number] = outcome_of(
                 problem,
                 json.loads(row.result) if row.result else None,
                 safe=row.verdict == SolutionVerdict.SAFE,
                 robustness=row.robustness,
             )
-        return found
+        return outcomes

@@ -98,10 +98,10 @@ class Pairs:
             Unavailable: Too many archives are being searched.
         """
         key = (campaign.id, settings, campaign.status in ENDED)
-        found = await self._cache.get(key, read.generation, lambda: self._find(campaign, read, settings))
-        if isinstance(found, TooManyPairs):
-            raise InvalidInput.at(f"/query/{found.setting}", f"campaign {campaign.id}: {found}")
-        return found
+        pairs = await self._cache.get(key, read.generation, lambda: self._find(campaign, read, settings))
+        if isinstance(pairs, TooManyPairs):
+            raise InvalidInput.at(f"/query/{pairs.setting}", f"campaign {campaign.id}: {pairs}")
+        return pairs
 
     def _find(
         self, campaign: Campaign, read: ReadArchive, settings: PairSettings

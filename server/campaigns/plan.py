@@ -171,8 +171,8 @@ def make_plan(body: CampaignBody) -> Plan:
     if body.ground_truth:
         problem = with_truth(problem)
     algorithm = make_algorithm(body.algorithm.id)
-    known = set(algorithm.config_type.__dataclass_fields__)
-    defaults = {name: value for name, value in problem.algorithm_defaults.items() if name in known}
+    settings = set(algorithm.config_type.__dataclass_fields__)
+    defaults = {name: value for name, value in problem.algorithm_defaults.items() if name in settings}
     values = {**defaults, **body.algorithm.params}
     config = run_plugin(
         ALGORITHMS,
@@ -214,14 +214,14 @@ def with_truth(problem: Problem) -> SimulatedProblem:
     if not isinstance(problem, SimulatedProblem) or not problem.has_component:
         message = f"{problem.id} has no component that ground truth can replace"
         raise InvalidInput.at("/ground_truth", message)
-    found = problem.with_truth()
-    if found is None:
+    truth = problem.with_truth()
+    if truth is None:
         message = (
             f"{problem.id} has ground truth in place of a component already: its scenarios alone are to blame"
         )
         raise InvalidInput.at("/ground_truth", message)
-    found.space = problem.space  # the same, within the ODD
-    return guarded_like(problem, found)
+    truth.space = problem.space  # the same, within the ODD
+    return guarded_like(problem, truth)
 
 
 def make_checked_plan(body: CampaignBody) -> Plan:
@@ -396,12 +396,14 @@ def store_campaigns(
         campaigns: The campaigns, whose first pieces have no more solutions together than one piece may have.
         key: Idempotency key of a single campaign.
     """
-    store.insert_campaigns(connection, [one.row for one in campaigns], key)
-    for one in campaigns:
-        store.insert_tags(connection, one.id, one.plan.body.tags)
-        insert_known(connection, one.id, one.known)
-        if one.first is not None:
-            step_store.insert_generations(connection, CAMPAIGNS.get(connection, one.id), one.first[1])
+    store.insert_campaigns(connection, [campaign.row for campaign in campaigns], key)
+    for campaign in campaigns:
+        store.insert_tags(connection, campaign.id, campaign.plan.body.tags)
+        insert_known(connection, campaign.id, campaign.known)
+        if campaign.first is not None:
+            step_store.insert_generations(
+                connection, CAMPAIGNS.get(connection, campaign.id), campaign.first[1]
+            )
 
 
 def store_campaign(connection: Connection, campaign: PreparedCampaign) -> Campaign:
@@ -523,7 +525,9 @@ def next_piece(live: LiveSearch) -> tuple[LiveSearch, Asked]:
     asked = Asked(
         first=piece[0][0] if piece else live.asked,
         generations=[
-            new_solutions(live.plan.problem, [one for _, one in group], origin_of, live.plan.body.seed)
+            new_solutions(
+                live.plan.problem, [candidate for _, candidate in group], origin_of, live.plan.body.seed
+            )
             for _, group in itertools.groupby(piece, key=itemgetter(0))
         ],
         end=pending[-1].number + 1 if pending else None,

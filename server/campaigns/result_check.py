@@ -127,12 +127,15 @@ class ResultChecks:
 
     async def judge(self, results: Sequence[UnjudgedResult]) -> Sequence[Judgement]:
         """Return whether campaigns can use results, within `CHECK_S`."""
-        campaigns = list(dict.fromkeys(one.campaign for one in results))
+        campaigns = list(dict.fromkeys(result.campaign for result in results))
         found = await asyncio.gather(
-            *(self._judge([one for one in results if one.campaign == name], name) for name in campaigns)
+            *(
+                self._judge([result for result in results if result.campaign == name], name)
+                for name in campaigns
+            )
         )
         judged = {name: iter(judgements) for name, judgements in zip(campaigns, found, strict=True)}
-        return [next(judged[one.campaign]) for one in results]
+        return [next(judged[result.campaign]) for result in results]
 
     def close(self) -> None:
         """End the threads."""
@@ -173,10 +176,10 @@ class ResultChecks:
             if isinstance(expected, _Unchecked):
                 return [Judgement()] * len(results)
             judged: list[Judgement] = []
-            for one in results:
+            for result in results:
                 if isinstance(self._known(campaign.id), _Unchecked):
                     break  # the check of an earlier one failed or was late
-                judged.append(self._judgement(expected, campaign.id, one.kind, one.result))
+                judged.append(self._judgement(expected, campaign.id, result.kind, result.result))
             return judged + [Judgement()] * (len(results) - len(judged))
 
     def _judgement(self, expected: _Expected, campaign_id: str, kind: str, result: Completed) -> Judgement:

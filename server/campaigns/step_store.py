@@ -171,14 +171,14 @@ class Step:
 
     def early_results(self, size: int) -> list[Sequence[SolutionResult]]:
         """Return the results to write before the step, in pieces of at most `size`; none of a small generation."""
-        early = [one for one in self.results if one.verdict is not SolutionVerdict.FAILED]
+        early = [result for result in self.results if result.verdict is not SolutionVerdict.FAILED]
         early = early[: max(0, len(self.results) - size)]
         return [early[start : start + size] for start in range(0, len(early), size)]
 
     def late_results(self, size: int) -> list[SolutionResult]:
         """Return the results to write with the step: those that are not among the early ones."""
-        early = {one.number for piece in self.early_results(size) for one in piece}
-        return [one for one in self.results if one.number not in early]
+        early = {result.number for piece in self.early_results(size) for result in piece}
+        return [result for result in self.results if result.number not in early]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -218,19 +218,23 @@ def _insert_solutions(
         [
             {
                 "campaign_id": campaign.id,
-                "number": s.number,
+                "number": solution.number,
                 "generation": generation,
-                "vector": s.vector,
-                "seed": s.seed,
-                "spec_hash": s.job.spec_hash if s.job else None,
+                "vector": solution.vector,
+                "seed": solution.seed,
+                "spec_hash": solution.job.spec_hash if solution.job else None,
                 "verdict": SolutionVerdict.PENDING,
-                "origin": s.origin,
+                "origin": solution.origin,
             }
-            for s in solutions
+            for solution in solutions
         ],
     )
     for kind in (JobKind.EPISODE, JobKind.DATASET):
-        jobs = [(s.number, s.job) for s in solutions if s.job is not None and s.kind is kind]
+        jobs = [
+            (solution.number, solution.job)
+            for solution in solutions
+            if solution.job is not None and solution.kind is kind
+        ]
         job_store.enqueue(connection, campaign.id, kind, jobs, campaign.job_settings)
 
 
@@ -367,17 +371,17 @@ def _update_results(connection: Connection, campaign_id: str, results: Sequence[
         ),
         [
             {
-                "solution": one.number,
-                "verdict_of": one.verdict,
-                "robustness_of": one.robustness,
-                "objectives_of": dict(one.objectives) if one.objectives is not None else None,
-                "failure_of": one.failure,
+                "solution": result.number,
+                "verdict_of": result.verdict,
+                "robustness_of": result.robustness,
+                "objectives_of": dict(result.objectives) if result.objectives is not None else None,
+                "failure_of": result.failure,
             }
-            for one in results
+            for result in results
         ],
     )
     # A result that could not be evaluated must not be shared with other campaigns.
-    failed = [one.number for one in results if one.verdict is SolutionVerdict.FAILED]
+    failed = [result.number for result in results if result.verdict is SolutionVerdict.FAILED]
     job_store.withdraw_results(connection, campaign_id, failed)
 
 

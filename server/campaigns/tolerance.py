@@ -80,12 +80,12 @@ class Tolerances:
         if not seeds.keys() >= set(numbers):
             raise NotFound(f"campaign {campaign.id}: no such campaign")
         layout = Layout(read.plan.problem.space, config)
-        found = tally(
+        counts = tally(
             layout, read.archive.vectors, numbers, read.archive.unsafe, [seeds[number] for number in numbers]
         )
         return CampaignTolerance(
             config=config,
             layout=layout,
-            tally=found,
-            curves=tuple(found.curves(layout, limit=config.limit, confidence=config.confidence)),
+            tally=counts,
+            curves=tuple(counts.curves(layout, limit=config.limit, confidence=config.confidence)),
         )

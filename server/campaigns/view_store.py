@@ -302,11 +302,11 @@ def read_solutions(
 ) -> list[Row[*tuple[Any, ...]]]:
     """Return solutions by number, ascending, each with the specification, result and attempts of its job."""
     wanted = sorted(numbers)
-    found: list[Row[*tuple[Any, ...]]] = []
+    rows: list[Row[*tuple[Any, ...]]] = []
     for start in range(0, len(wanted), MAX_NAMED):
         some = wanted[start : start + MAX_NAMED]
-        found += connection.execute(_solutions(campaign_id).where(SolutionRow.number.in_(some))).all()
-    return found
+        rows += connection.execute(_solutions(campaign_id).where(SolutionRow.number.in_(some))).all()
+    return rows
 
 
 def read_results(
@@ -323,11 +323,11 @@ def read_results(
     if numbers is None:
         return {row.number: row.result for row in connection.execute(query)}
     wanted = sorted(numbers)
-    found: dict[int, str | None] = {}
+    results: dict[int, str | None] = {}
     for start in range(0, len(wanted), MAX_NAMED):
         some = query.where(EVALUATIONS.c.number.in_(wanted[start : start + MAX_NAMED]))
-        found |= {row.number: row.result for row in connection.execute(some)}
-    return found
+        results |= {row.number: row.result for row in connection.execute(some)}
+    return results
 
 
 def read_seeds(connection: Connection, campaign_id: str) -> dict[int, int]:

@@ -163,14 +163,14 @@ def _evaluated(connection: Connection, source: Campaign) -> list[KnownRecord]:
         )
         for row in connection.execute(query)
     ]
-    return own + [one for one in read_known(connection, source.id) if one.unsafe is not None]
+    return own + [record for record in read_known(connection, source.id) if record.unsafe is not None]
 
 
 def _within_odd(records: Sequence[KnownRecord], space: SearchSpace) -> Sequence[KnownRecord]:
     """Return the results within the ODD of a space; all of them if it has none."""
     if not odd_of(space):
         return records
-    return [one for one in records if space.contains(space.split(np.frombuffer(one.vector, "<f8")))]
+    return [record for record in records if space.contains(space.split(np.frombuffer(record.vector, "<f8")))]
 
 
 def _nearest(records: Sequence[KnownRecord], wanted: StartFrom) -> list[KnownRecord]:

@@ -53,8 +53,8 @@ class Edge(WarmLedgerAlgorithm[EdgeConfig, EdgeState]):
     def tell(self, state: EdgeState, evaluations: Mapping[int, Evaluation]) -> EdgeState:
         """Return the state after the pending generation was evaluated."""
         pending = state.ledger.pending
-        told = replace(state, ledger=state.ledger.tell(evaluations), jobs=state.jobs[len(pending) :])
-        return planned(learnt(told, pending, state.jobs[: len(pending)], evaluations))
+        evaluated = replace(state, ledger=state.ledger.tell(evaluations), jobs=state.jobs[len(pending) :])
+        return planned(learnt(evaluated, pending, state.jobs[: len(pending)], evaluations))
 
     def _content(self, state: EdgeState) -> tuple[dict[str, Any], dict[str, Any]]:
         return content_of(state)

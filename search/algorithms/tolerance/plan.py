@@ -56,9 +56,9 @@ class Plan:
 
     def add_screening(self, group: int) -> None:
         """Plan the next drive of a group with the most severe error."""
-        found, drive = self._layout.groups[group], int(self.screened[group])
+        scenario_group, drive = self._layout.groups[group], int(self.screened[group])
         self.screened[group] += 1
-        self._add(Purpose.SCREENING, group, found.population, drive, found.choices, LEVELS)
+        self._add(Purpose.SCREENING, group, scenario_group.population, drive, scenario_group.choices, LEVELS)
 
     def add_error(self, cell: int, level: int, drive: int | None = None, *, audit: bool = False) -> None:
         """Plan a drive of a cell, by default the next one."""

@@ -86,9 +86,9 @@ def blames_scenario(stored: Sequence[StoredFollowUp]) -> Mapping[int, bool]:
     Args:
         stored: The follow-ups of a campaign, oldest first; those of other kinds are ignored.
     """
-    found: dict[int, bool] = {}
+    blamed: dict[int, bool] = {}
     for one in stored:
         if one.kind is FollowUpKind.COMPONENT:
             for place, unsafe in zip(one.evaluated, one.unsafe, strict=True):
-                found.setdefault(one.numbers[place], unsafe)
-    return found
+                blamed.setdefault(one.numbers[place], unsafe)
+    return blamed
