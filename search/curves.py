@@ -390,8 +390,8 @@ class Screening:
     """How often the most severe error causes a violation, and how far that covers milder errors.
 
     Drives that hold with the most severe error *leak* if they violate with a milder one. Their share is assumed to
-    grow in proportion to severity. It is estimated from the audits of the group alone, each of which tells as much as
-    its severity; without audits it is unknown.
+    grow in proportion to severity. It is estimated from the audits of the group alone, each weighted by its severity;
+    without audits it is unknown.
 
     Attributes:
         vulnerable: Screened drives with a violation that the grossest error caused.

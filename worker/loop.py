@@ -233,7 +233,7 @@ class Worker:
         if unsent:
             log.warning("leaving with outcomes that could not be reported", extra={"unsent": unsent})
         if coordinator_away and self._grace_end_s is None:
-            log.error("leaving: there was no coordinator at %s", self._client.server)
+            log.error("leaving: no coordinator could be reached at %s", self._client.server)
             return 1
         log.info("leaving")
         return 0

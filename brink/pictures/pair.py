@@ -402,7 +402,7 @@ def _about_reports(story: PairStory) -> list[str]:
 def _there(label: str, share: float) -> str:
     """Describe for which share of the time an object exists where it is reported."""
     who = f"no {label}" if share == 0 else f"a {label}"
-    return f"{who} is where one is reported{_part(share)}"
+    return f"there is {who} where one is reported{_part(share)}"
 
 
 def _how_much(flags: list[bool]) -> str:

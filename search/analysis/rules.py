@@ -6,7 +6,7 @@ splits so that the shares of the solutions that it sees differ, whether they do 
 a rule with that of the whole region, and an accuracy with that of always predicting the majority.
 
 Shares have no intervals: a search breeds its solutions from each other, so they are not an independent sample of
-anything (ADR 66). A parameter that had no part in an episode is inactive there, whatever its value.
+anything (ADR 66). A parameter that did not affect an episode is inactive there, whatever its value.
 
 Source: Breiman et al. 1984 (CART), with scikit-learn's implementation (extra `analysis`).
 """

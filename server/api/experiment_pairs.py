@@ -185,13 +185,11 @@ async def get_experiment_pairs(
     services: Services,
     eps: Annotated[
         float | None,
-        Query(
-            ge=0, le=1, description="Largest distance between the sides; by default as the experiment says."
-        ),
+        Query(ge=0, le=1, description="Largest distance between the sides; the experiment's by default."),
     ] = None,
     d_th: Annotated[
         float | None,
-        Query(ge=0, le=1, description="Smallest distance between pairs; by default as the experiment says."),
+        Query(ge=0, le=1, description="Smallest distance between pairs; the experiment's by default."),
     ] = None,
     wait_s: Annotated[
         float, Query(ge=0, le=60, description="How long to wait for the pairs, in seconds.")
