@@ -5,6 +5,7 @@ The key is never stored, never sent along a redirect, and removed from everythin
 """
 
 import asyncio
+import itertools
 import logging
 import math
 import time
@@ -19,7 +20,6 @@ import httpx
 
 from brink.server.llm.access import LlmAccess
 from brink.server.llm.protocol import (
-    Effort,
     EndpointUnavailable,
     JsonObject,
     LlmError,
@@ -49,25 +49,6 @@ MIN_SECRET_CHARS: Final = 8
 _LOG = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Completion:
-    """A reply, and how it was obtained.
-
-    Attributes:
-        reply: The reply.
-        latency_s: Time from sending the successful request to the end of its response.
-        mode: How the form of the reply was specified.
-        effort: The requests sent, including those that were rejected or lost.
-        raw: The body, without the key.
-    """
-
-    reply: Reply
-    latency_s: float
-    mode: Mode
-    effort: Effort
-    raw: str = field(repr=False)
-
-
 @dataclass(frozen=True, slots=True)
 class _Answer:
     """An HTTP response of bounded size, without the key; the status of an embedded error replaces its own."""
@@ -75,32 +56,40 @@ class _Answer:
     status: int
     headers: httpx.Headers
     raw: str
-    latency_s: float
 
 
-BeforeRequest = Callable[[Effort], None]
-"""Called before each request with the requests so far; raises OverBudget to prevent the request."""
-
-
-def _allow_all(effort: Effort) -> None:
-    """Allow every request."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Call:
-    """The limits and the progress of a call.
+@dataclass(slots=True, kw_only=True)
+class Call:
+    """The limits and the progress of a call. Mutable.
 
     Attributes:
         tries: Maximum number of tries with one form of the reply.
-        deadline_s: Time on the client's clock at which the call is given up.
-        before_request: Called before each request.
-        effort: The requests so far.
+        deadline_s: Time on the client's clock at which the call is given up, whatever it is waiting for.
+        requests: HTTP requests sent, including those that were rejected or lost.
+        lost: Those of them that the endpoint may have processed and billed without delivering a usable reply.
+        failures: What happened to the requests after which another one could be tried, oldest first.
+        latency_s: Time from sending the last request to the end of its response.
     """
 
-    tries: int
-    deadline_s: float
-    before_request: BeforeRequest
-    effort: Effort = field(default_factory=Effort)
+    tries: int = 1
+    deadline_s: float = math.inf
+    requests: int = 0
+    lost: int = 0
+    failures: list[str] = field(default_factory=list)
+    latency_s: float = 0.0
+
+    def before_request(self) -> None:
+        """Called before each request.
+
+        Raises:
+            OverBudget: The request must not be sent.
+        """
+
+    @property
+    def words(self) -> str:
+        """The failures in words, such as ``HTTP 500 (2 tries), then timed out after 25 s (1 try)``."""
+        runs = [(what, len(list(same))) for what, same in itertools.groupby(self.failures)]
+        return ", then ".join(f"{what} ({count} {'try' if count == 1 else 'tries'})" for what, count in runs)
 
 
 def looser(mode: Mode) -> Mode:
@@ -164,43 +153,51 @@ class LlmClient(AbstractAsyncContextManager["LlmClient", None]):
         await self._http.aclose()
 
     async def complete(
-        self,
-        messages: Messages,
-        schema: JsonObject,
-        *,
-        mode: Mode | None = None,
-        tries: int | None = None,
-        deadline_s: float = math.inf,
-        before_request: BeforeRequest = _allow_all,
-    ) -> Completion:
-        """Send a prompt and return the reply.
+        self, messages: Messages, schema: JsonObject, call: Call, *, only: Mode | None = None
+    ) -> Reply:
+        """Send a prompt until it succeeds or fails for good, with looser forms where one is rejected.
 
         Args:
             messages: The prompt, which must also describe the form of the reply.
             schema: JSON schema of the reply.
-            mode: The only form to try; by default the current one, then looser ones.
-            tries: Maximum number of tries; by default one more than the settings' ``retries``.
-            deadline_s: Time on the client's clock at which the call is given up, whatever it is waiting for.
-            before_request: Called before each request.
+            call: Limits of the call; the requests are counted there.
+            only: The only form to try; by default `mode`, then looser ones.
 
         Raises:
             EndpointUnavailable: A try failed, and no other is left or allowed; the message says why.
-            OverBudget: Raised by ``before_request``, or too little time is left, before any try failed.
+            OverBudget: The budget, or the time left, does not allow any try.
             LlmError: Repeating the call would fail again; the subclass gives the reason.
         """
         self._access.key(self.settings)
-        began = self.clock()
-        call = _Call(
-            tries=self.settings.retries + 1 if tries is None else tries,
-            deadline_s=deadline_s,
-            before_request=before_request,
-        )
-        try:
-            return await self._complete(messages, schema, mode, call)
-        except LlmError as error:
-            call.effort.elapsed_s = self.clock() - began
-            error.effort = call.effort
-            raise
+        mode, failures, detail = only or self.mode, 0, ""
+        while True:
+            limit_s = self._time_for_a_try(call, detail)
+            body = request_body(self.settings, messages, mode, schema)
+            call.requests += 1
+            began = self.clock()
+            try:
+                answer = await self._exchange("POST", "/chat/completions", body, limit_s)
+                if only is None and self._rejects(mode, answer):
+                    call.failures.append(f"{mode} refused")
+                    mode, failures, detail = looser(mode), 0, ""
+                    _LOG.info("%s does not accept this form; trying %s", self.settings.endpoint, mode)
+                    continue
+                call.latency_s = self.clock() - began
+                reply = read_reply(self._successful(answer).raw)
+            except EndpointUnavailable as error:
+                call.lost += error.lost
+                call.failures.append(error.what)
+                failures, detail = failures + 1, error.detail
+                pause_s = self._pause_after(error, failures, call)
+                _LOG.info("language model: %s; trying again in %.1f s", error, pause_s)
+            except LlmError as error:
+                call.lost += error.lost
+                raise
+            else:
+                if only is None:
+                    self.mode, self._proven = mode, True
+                return reply
+            await self._pause(pause_s)
 
     async def models(self) -> tuple[str, ...] | None:
         """Return the models that the endpoint lists, or None if it has no list.
@@ -212,40 +209,6 @@ class LlmClient(AbstractAsyncContextManager["LlmClient", None]):
         if answer.status in (404, 405, 501):
             return None
         return parse_models(self._successful(answer).raw)
-
-    async def _complete(
-        self, messages: Messages, schema: JsonObject, only: Mode | None, call: _Call
-    ) -> Completion:
-        """Send a request until it succeeds or fails for good, with looser forms where one is rejected."""
-        effort, mode, failures, detail = call.effort, only or self.mode, 0, ""
-        while True:
-            limit_s = self._time_for_a_try(call, detail)
-            body = request_body(self.settings, messages, mode, schema)
-            effort.requests += 1
-            try:
-                answer = await self._exchange("POST", "/chat/completions", body, limit_s)
-                if only is None and self._rejects(mode, answer):
-                    effort.failures.append(f"{mode} refused")
-                    mode, failures, detail = looser(mode), 0, ""
-                    _LOG.info("%s does not accept this form; trying %s", self.settings.endpoint, mode)
-                    continue
-                reply = read_reply(self._successful(answer).raw)
-            except EndpointUnavailable as error:
-                effort.lost += error.lost
-                effort.failures.append(error.what)
-                failures, detail = failures + 1, error.detail
-                pause_s = self._pause_after(error, failures, call)
-                _LOG.info("language model: %s; trying again in %.1f s", error, pause_s)
-            except LlmError as error:
-                effort.lost += error.lost
-                raise
-            else:
-                if only is None:
-                    self.mode, self._proven = mode, True
-                return Completion(
-                    reply=reply, latency_s=answer.latency_s, mode=mode, effort=effort, raw=answer.raw
-                )
-            await self._pause(pause_s)
 
     def _rejects(self, mode: Mode, answer: _Answer) -> bool:
         """Return whether the endpoint rejects the requested form of the reply."""
@@ -263,12 +226,12 @@ class LlmClient(AbstractAsyncContextManager["LlmClient", None]):
             return answer
         raise error_from(answer.status, answer.headers, answer.raw, self.settings, self._now())
 
-    def _gave_up(self, effort: Effort, detail: str, reason: str) -> EndpointUnavailable:
+    def _gave_up(self, call: Call, detail: str, reason: str) -> EndpointUnavailable:
         """Return the error of a call that is given up after failed tries."""
-        what = f"{effort.words}: {detail}" if detail else effort.words
+        what = f"{call.words}: {detail}" if detail else call.words
         return EndpointUnavailable(self.settings.endpoint, f"{what}; {reason}" if reason else what)
 
-    def _time_for_a_try(self, call: _Call, detail: str) -> float:
+    def _time_for_a_try(self, call: Call, detail: str) -> float:
         """Return the maximum duration of the next try, in seconds.
 
         Args:
@@ -282,18 +245,18 @@ class LlmClient(AbstractAsyncContextManager["LlmClient", None]):
         left_s = call.deadline_s - self.clock()
         try:
             self._check_time(left_s)
-            call.before_request(call.effort)
+            call.before_request()
         except OverBudget as error:
-            if not call.effort.failures:
+            if not call.failures:
                 raise
-            raise self._gave_up(call.effort, detail, f"no other try: {error}") from error
+            raise self._gave_up(call, detail, f"no other try: {error}") from error
         return min(self.settings.timeout_s, left_s)
 
     def _check_time(self, left_s: float) -> None:
         if left_s < self._shortest_try_s:
             raise OverBudget(self._time_is_up)
 
-    def _pause_after(self, error: EndpointUnavailable, failures: int, call: _Call) -> float:
+    def _pause_after(self, error: EndpointUnavailable, failures: int, call: Call) -> float:
         """Return the pause before the next try, in seconds.
 
         Raises:
@@ -312,7 +275,7 @@ class LlmClient(AbstractAsyncContextManager["LlmClient", None]):
             reason = f"{asks}{self._time_is_up}"
         else:
             return pause_s
-        raise self._gave_up(call.effort, error.detail, reason) from error
+        raise self._gave_up(call, error.detail, reason) from error
 
     async def _exchange(self, method: str, path: str, body: JsonObject | None, limit_s: float) -> _Answer:
         """Send one request and read the response, within the limits of time and size."""
@@ -322,7 +285,6 @@ class LlmClient(AbstractAsyncContextManager["LlmClient", None]):
         headers = {"Authorization": f"Bearer {secret}"} if secret else {}
         secrets = [secret] if len(secret) >= MIN_SECRET_CHARS else []
         sending = self._http.stream(method, settings.endpoint + path, json=body, headers=headers)
-        began = self.clock()
         try:
             async with asyncio.timeout(limit_s), sending as response:
                 raw = sanitize(await _bounded_body(response), secrets)
@@ -339,7 +301,7 @@ class LlmClient(AbstractAsyncContextManager["LlmClient", None]):
         status = response.status_code
         if httpx.codes.is_success(status):
             status = embedded_status(raw) or status
-        return _Answer(status, response.headers, raw, self.clock() - began)
+        return _Answer(status, response.headers, raw)
 
 
 async def _bounded_body(response: httpx.Response) -> bytes:

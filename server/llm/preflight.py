@@ -9,7 +9,7 @@ from brink.search.algorithm import SeedRequest
 from brink.search.traffic.participants import RoadLimits
 from brink.server.llm.access import LlmAccess
 from brink.server.llm.calls import cost_of, tokens_of, worst_usage
-from brink.server.llm.client import LlmClient
+from brink.server.llm.client import Call, LlmClient
 from brink.server.llm.prompts import example, question
 from brink.server.llm.protocol import AccessRefused, EndpointUnavailable, LlmError, Messages, NotSent, Usage
 from brink.server.llm.replies import SCHEMA, RoadChecker, parse, pointed, to_text
@@ -83,8 +83,7 @@ async def check_endpoint(
         access: Decides whether the endpoint may be used, and has the key.
         transport: HTTP transport; the network if None.
     """
-    once = settings.model_copy(update={"retries": 0})
-    async with LlmClient(once, access=access, transport=transport) as client:
+    async with LlmClient(settings, access=access, transport=transport) as client:
         try:
             models = await client.models()
         except (EndpointUnavailable, NotSent) as error:
@@ -101,18 +100,19 @@ async def check_endpoint(
 
 
 async def _try_mode(client: LlmClient, messages: Messages, mode: Mode, road: RoadChecker) -> ModeReport:
+    call = Call()
     try:
-        completion = await client.complete(messages, SCHEMA, mode=mode)
+        reply = await client.complete(messages, SCHEMA, call, only=mode)
     except LlmError as error:
         return ModeReport(mode=mode, accepted=False, trouble=str(error))
-    parsed = parse(completion.reply.text, road, wanted=1)
+    parsed = parse(reply.text, road, wanted=1)
     return ModeReport(
         mode=mode,
         accepted=True,
         usable=bool(parsed.solutions),
-        usage_stated=completion.reply.usage is not None,
-        finish_reason=completion.reply.finish_reason,
-        latency_s=completion.latency_s,
+        usage_stated=reply.usage is not None,
+        finish_reason=reply.finish_reason,
+        latency_s=call.latency_s,
         trouble=None if parsed.solutions else "; ".join(map(pointed, parsed.errors[:3])),
     )
 

@@ -22,7 +22,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
-from itertools import groupby
 from typing import Any, ClassVar, Final, Literal, TypeAlias
 
 from brink.server.errors import ServerError
@@ -50,29 +49,6 @@ _PROBABLY_FORM: Final = frozenset({400, 422})
 _SEARCHED_CHARS: Final = 2000
 
 
-@dataclass(slots=True)
-class Effort:
-    """The requests of one call. Mutable.
-
-    Attributes:
-        requests: HTTP requests sent.
-        lost: Those of them that the endpoint may have processed and billed without delivering a usable reply.
-        elapsed_s: Time from the first request to the end, including pauses.
-        failures: What happened to the requests after which another one could be tried, oldest first.
-    """
-
-    requests: int = 0
-    lost: int = 0
-    elapsed_s: float = 0.0
-    failures: list[str] = field(default_factory=list)
-
-    @property
-    def words(self) -> str:
-        """The failures in words, such as ``HTTP 500 (2 tries), then timed out after 25 s (1 try)``."""
-        runs = [(what, len(list(same))) for what, same in groupby(self.failures)]
-        return ", then ".join(f"{what} ({count} {'try' if count == 1 else 'tries'})" for what, count in runs)
-
-
 class LlmError(ServerError):
     """No usable reply.
 
@@ -80,16 +56,11 @@ class LlmError(ServerError):
         outcome: The outcome of the call.
         lost: Whether the endpoint may have processed the last request and billed it.
         raw: The reply; None if there is none, or if it was not read to its end.
-        effort: The requests that were made.
     """
 
     outcome: ClassVar[Outcome] = Outcome.REFUSED
     lost: bool = False
     raw: str | None = None
-
-    def __init__(self, message: str) -> None:
-        super().__init__(message)
-        self.effort = Effort()
 
 
 class EndpointUnavailable(LlmError):
@@ -240,12 +211,14 @@ class Reply:
         finish_reason: Why the model stopped, in lower case; None if the endpoint does not report it.
         usage: Tokens used; None if the endpoint does not report them.
         refusal: Whether the model or a content filter declined to answer.
+        raw: The body that contains it.
     """
 
     text: str
     finish_reason: str | None
     usage: Usage | None
     refusal: bool
+    raw: str = field(repr=False)
 
     @property
     def truncated(self) -> bool:
@@ -324,6 +297,7 @@ def read_reply(raw: str) -> Reply:
         finish_reason=finish_reason,
         usage=_usage(_object(document.get("usage"))),
         refusal=bool(_text(message.get("refusal")).strip()) or finish_reason in _WITHHELD,
+        raw=raw,
     )
 
 

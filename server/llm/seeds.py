@@ -40,11 +40,10 @@ from brink.server.llm.calls import (
     using,
     worst_usage,
 )
-from brink.server.llm.client import LlmClient
+from brink.server.llm.client import Call, LlmClient
 from brink.server.llm.prompts import question, repair
 from brink.server.llm.protocol import (
     CallLogMismatch,
-    Effort,
     LlmError,
     Messages,
     OverBudget,
@@ -116,8 +115,8 @@ async def ask(request: SeedRequest, problem: SupportsSeeds, log: CallLog, client
     return Answer(proposals=tuple(proposals), words=_summary(request.count, first, second))
 
 
-@dataclass(frozen=True, slots=True)
-class _Sending:
+@dataclass(slots=True, kw_only=True)
+class _Sending(Call):
     """A call that is being made.
 
     Attributes:
@@ -134,24 +133,24 @@ class _Sending:
     settings: LlmSettings
     log: CallLog
 
-    @property
-    def worst(self) -> Usage:
-        """The most that one request may use."""
-        return worst_usage(self.settings, self.messages)
-
-    def after(self, effort: Effort, *replies: Usage) -> LlmCall:
-        """Return the call after some requests, of which each lost one counts as the worst case."""
-        lost = [self.worst * effort.lost] if effort.lost else []
-        return using(self.sent, self.settings, effort.requests, *lost, *replies)
-
-    def before_request(self, effort: Effort) -> None:
+    def before_request(self) -> None:
         """Check the budget, and store the next request with its worst-case usage, in case the process stops.
 
         Raises:
             OverBudget: The budget does not allow it.
         """
-        check_budget(spent_on([*self.others, self.after(effort)]), self.settings, self.messages)
-        self.log.store(self.after(Effort(requests=effort.requests + 1, lost=effort.lost + 1)))
+        check_budget(spent_on([*self.others, self.after()]), self.settings, self.messages)
+        self.log.store(using(self.after(), self.settings, 1, self.worst))
+
+    @property
+    def worst(self) -> Usage:
+        """The most that one request may use."""
+        return worst_usage(self.settings, self.messages)
+
+    def after(self, *replies: Usage) -> LlmCall:
+        """Return the call after the requests so far, of which each lost one counts as the worst case."""
+        lost = [self.worst * self.lost] if self.lost else []
+        return using(self.sent, self.settings, self.requests, *lost, *replies)
 
 
 class _Turns:
@@ -201,8 +200,17 @@ class _Turns:
                 "Brink or for another campaign: continue with that version, or start the campaign again"
             )
         if call.outcome is Outcome.SENT:
-            sending = _Sending(call, others, messages, self._client.settings, self._log)
-            call = await self._made(sending, breaker_after(stored, now), wanted, known)
+            breaker, settings = breaker_after(stored, now), self._client.settings
+            sending = _Sending(
+                tries=1 if breaker.on_trial else max(1, settings.retries + 1 - call.calls),
+                deadline_s=self._deadline_s,
+                sent=call,
+                others=others,
+                messages=messages,
+                settings=settings,
+                log=self._log,
+            )
+            call = await self._made(sending, breaker, wanted, known)
             self._log.store(call)
         return _Turn(call, self._parse(call.reply, wanted, known)[0])
 
@@ -222,25 +230,18 @@ class _Turns:
             return _ended(sent, Outcome.CIRCUIT_OPEN, breaker.words)
         noun = "request" if sent.calls == 1 else "requests"
         stopped = f"{sent.calls} {noun} lost when a coordinator stopped" if sent.calls else ""
+        began = client.clock()
         try:
-            completion = await client.complete(
-                sending.messages,
-                SCHEMA,
-                tries=1 if breaker.on_trial else max(1, client.settings.retries + 1 - sent.calls),
-                deadline_s=self._deadline_s,
-                before_request=sending.before_request,
-            )
+            reply = await client.complete(sending.messages, SCHEMA, sending)
         except LlmError as error:
-            call = sending.after(error.effort)
-            given = {"mode": client.mode, "reply": error.raw, "latency_s": error.effort.elapsed_s}
+            given = {"mode": client.mode, "reply": error.raw, "latency_s": client.clock() - began}
             again = breaker.failed and isinstance(error, OverBudget)
             before = f"the last call failed: {breaker.error}" if again else ""
-            return _ended(call, error.outcome, stopped, str(error), before, **given)
-        effort, raw = completion.effort, completion.raw
-        call = sending.after(effort, completion.reply.usage or sending.worst)
-        given = {"mode": completion.mode, "reply": raw, "latency_s": completion.latency_s}
-        failures = f"before the reply: {effort.words}" if effort.failures else ""
-        _, outcome, trouble = self._parse(raw, wanted, known)
+            return _ended(sending.after(), error.outcome, stopped, str(error), before, **given)
+        given = {"mode": client.mode, "reply": reply.raw, "latency_s": sending.latency_s}
+        failures = f"before the reply: {sending.words}" if sending.failures else ""
+        _, outcome, trouble = self._parse(reply.raw, wanted, known)
+        call = sending.after(reply.usage or sending.worst)
         return _ended(call, outcome, stopped, failures, trouble, **given)
 
     def _parse(self, raw: str | None, wanted: int, known: Sequence[Solution]) -> tuple[Parsed, Outcome, str]:

@@ -4,9 +4,11 @@ import asyncio
 import json
 import logging
 import socket
+import time
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import partial
 from random import Random
 from typing import Any, TypeVar
 
@@ -31,10 +33,9 @@ from support.llm_endpoint import (
     unencrypted,
 )
 
-from brink.server.llm.client import MAX_REPLY_BYTES, Completion, LlmClient
+from brink.server.llm.client import MAX_REPLY_BYTES, Call, LlmClient
 from brink.server.llm.protocol import (
     AccessRefused,
-    Effort,
     EndpointUnavailable,
     LlmError,
     Message,
@@ -229,17 +230,27 @@ def using(
     return asyncio.run(run())
 
 
-def ask(client: LlmClient) -> Awaitable[Completion]:
-    return client.complete(ASKED, SCHEMA)
+def ask(client: LlmClient, call: Call | None = None) -> Awaitable[Reply]:
+    call = call or Call()
+    call.tries = client.settings.retries + 1
+    return client.complete(ASKED, SCHEMA, call)
 
 
-def failing(endpoint: Endpoint, kind: type[LlmError], *steps: Step, **changes: Any) -> LlmError:
-    """Return the error that a request raises."""
+def counted(settings: LlmSettings, **options: Any) -> tuple[Call, Reply | LlmError]:
+    """Return the requests of a call, and the reply or the error that it gives."""
+    call = Call()
+    try:
+        return call, using(settings, partial(ask, call=call), **options)
+    except LlmError as error:
+        return call, error
+
+
+def failing(endpoint: Endpoint, kind: type[LlmError], *steps: Step, **changes: Any) -> tuple[Call, LlmError]:
+    """Return the requests of a call that fails, and its error."""
     endpoint.then(*steps)
-    with pytest.raises(kind) as caught:
-        using(llm_settings(endpoint, **changes), ask)
-    assert type(caught.value) is kind
-    return caught.value
+    call, error = counted(llm_settings(endpoint, **changes))
+    assert type(error) is kind
+    return call, error
 
 
 def test_a_request_contains_all_settings(endpoint: Endpoint) -> None:
@@ -252,7 +263,8 @@ def test_a_request_contains_all_settings(endpoint: Endpoint) -> None:
         "token_field": "max_completion_tokens",
         "api_key_env": "MY_KEY",
     }
-    answer = using(llm_settings(endpoint, **changes), ask, environ={"MY_KEY": KEY})
+    call, answer = counted(llm_settings(endpoint, **changes), environ={"MY_KEY": KEY})
+    assert isinstance(answer, Reply)
     [asked] = endpoint.asked
     assert asked.path == "/v1/chat/completions"
     assert asked.headers["authorization"] == f"Bearer {KEY}"
@@ -269,9 +281,9 @@ def test_a_request_contains_all_settings(endpoint: Endpoint) -> None:
             "json_schema": {"name": "solutions", "strict": True, "schema": dict(SCHEMA)},
         },
     }
-    assert (answer.reply.text, answer.mode, answer.effort) == ("yes", Mode.JSON_SCHEMA, Effort(requests=1))
+    assert (answer.text, call.requests) == ("yes", 1)
     assert json.loads(answer.raw)["choices"]
-    assert answer.latency_s > 0
+    assert call.latency_s > 0
 
 
 @pytest.mark.parametrize(
@@ -289,49 +301,54 @@ def test_rejected_form_is_permanently_replaced_by_a_looser(endpoint: Endpoint, f
     endpoint.forms, endpoint.form_refusal = ("schema_in_object", "json_object", "plain"), form_refusal
     endpoint.then(OK, OK)
 
-    async def twice(client: LlmClient) -> tuple[Completion, Completion, Mode]:
-        return await ask(client), await ask(client), client.mode
+    calls = Call(), Call()
+
+    async def twice(client: LlmClient) -> tuple[Reply, Reply, Mode]:
+        return await ask(client, calls[0]), await ask(client, calls[1]), client.mode
 
     pauses: list[float] = []
-    first, second, mode = using(llm_settings(endpoint), twice, pauses)
+    *_, mode = using(llm_settings(endpoint), twice, pauses)
     assert [asked.form for asked in endpoint.asked] == ["json_schema", "schema_in_object", "schema_in_object"]
     assert endpoint.asked[1].body["response_format"] == {"type": "json_object", "schema": dict(SCHEMA)}
-    assert first.effort == Effort(requests=2, failures=["json_schema refused"])
-    assert second.effort == Effort(requests=1)
-    assert first.mode is second.mode is mode is Mode.SCHEMA_IN_OBJECT
+    assert [(call.requests, call.failures) for call in calls] == [(2, ["json_schema refused"]), (1, [])]
+    assert mode is Mode.SCHEMA_IN_OBJECT
     assert pauses == []
 
 
 def test_the_form_that_an_earlier_client_found_is_used_first(endpoint: Endpoint) -> None:
     endpoint.then(OK)
-    assert using(llm_settings(endpoint), ask, mode=Mode.PLAIN).mode is Mode.PLAIN
-    assert len(endpoint.asked) == 1
+    using(llm_settings(endpoint), ask, mode=Mode.PLAIN)
+    assert [asked.form for asked in endpoint.asked] == ["plain"]
 
 
 def test_a_working_form_is_kept_after_an_unrelated_error(endpoint: Endpoint) -> None:
     endpoint.then(OK, refuses(400, "maximum context length is 2048 tokens"), OK)
 
-    async def thrice(client: LlmClient) -> list[Mode]:
-        modes = [(await ask(client)).mode]
+    async def thrice(client: LlmClient) -> Mode:
+        await ask(client)
         with pytest.raises(Refused, match="context length"):
             await ask(client)
-        return [*modes, (await ask(client)).mode]
+        await ask(client)
+        return client.mode
 
-    assert using(llm_settings(endpoint), thrice) == [Mode.JSON_SCHEMA] * 2
+    assert using(llm_settings(endpoint), thrice) is Mode.JSON_SCHEMA
+    assert [asked.form for asked in endpoint.asked] == ["json_schema"] * 3
 
 
 @pytest.mark.parametrize("status", [408, 409, 425, 429, 500, 502, 503, 504])
 def test_retryable_errors_are_retried_with_growing_pauses(endpoint: Endpoint, status: int) -> None:
     pauses: list[float] = []
     endpoint.then(refuses(status, "busy"), refuses(status, "busy"), OK)
-    answer = using(llm_settings(endpoint), ask, pauses, backoff=Backoff(first_s=1.0, cap_s=60.0))
-    assert answer.effort == Effort(requests=3, failures=[f"HTTP {status}"] * 2)
+    call, _ = counted(llm_settings(endpoint), pauses=pauses, backoff=Backoff(first_s=1.0, cap_s=60.0))
+    assert (call.requests, call.lost, call.failures) == (3, 0, [f"HTTP {status}"] * 2)
     assert 0.5 <= pauses[0] <= 1.0 <= pauses[1] <= 2.0
 
 
 def test_an_error_embedded_in_a_2xx_answer_is_retried(endpoint: Endpoint) -> None:
     endpoint.then(gives({"error": {"message": "upstream overloaded", "code": 502}}), OK)
-    assert using(llm_settings(endpoint), ask).effort.requests == 2
+    call, answer = counted(llm_settings(endpoint))
+    assert isinstance(answer, Reply)
+    assert call.requests == 2
 
 
 @pytest.mark.parametrize(
@@ -373,9 +390,10 @@ def test_an_unreachable_endpoint_is_reported() -> None:
         deaf.bind(("127.0.0.1", 0))
         place = f"127.0.0.1:{deaf.getsockname()[1]}"
         settings = LlmSettings(endpoint=f"http://{place}/v1", model=MODEL, retries=1)
-        with pytest.raises(EndpointUnavailable, match=rf"{place}/v1: no connection \(2 tries\): ") as caught:
-            using(settings, ask)
-    assert (caught.value.effort.requests, caught.value.effort.lost) == (2, 0)
+        call, error = counted(settings)
+    assert isinstance(error, EndpointUnavailable)
+    assert f"{place}/v1: no connection (2 tries): " in str(error)
+    assert (call.requests, call.lost) == (2, 0)
 
 
 @pytest.mark.parametrize(
@@ -395,12 +413,11 @@ def test_final_errors_come_with_advice(
     endpoint: Endpoint, step: Step, kind: type[LlmError], advice: str
 ) -> None:
     endpoint.then(step)
-    with pytest.raises(Refused) as caught:
-        using(llm_settings(endpoint, api_key_env="MY_KEY"), ask, environ={"MY_KEY": KEY})
-    assert type(caught.value) is kind
-    assert advice in str(caught.value)
+    call, error = counted(llm_settings(endpoint, api_key_env="MY_KEY"), environ={"MY_KEY": KEY})
+    assert type(error) is kind
+    assert advice in str(error)
     assert len(endpoint.asked) == 1
-    assert caught.value.effort.lost == 0
+    assert call.lost == 0
 
 
 @pytest.mark.parametrize(
@@ -416,9 +433,9 @@ def test_final_errors_come_with_advice(
     ],
 )
 def test_an_unusable_2xx_answer_is_not_retried(endpoint: Endpoint, step: Step, expected: str) -> None:
-    error = failing(endpoint, UnusableReply, step)
+    call, error = failing(endpoint, UnusableReply, step)
     assert expected in str(error)
-    assert (error.effort.requests, error.effort.lost) == (1, 1)
+    assert (call.requests, call.lost) == (1, 1)
 
 
 def test_the_key_is_never_repeated(endpoint: Endpoint, caplog: pytest.LogCaptureFixture) -> None:
@@ -431,7 +448,7 @@ def test_the_key_is_never_repeated(endpoint: Endpoint, caplog: pytest.LogCapture
         endpoint.reset()
         endpoint.then(refuses(503, f"busy with {KEY}"), says(f"your key is {KEY}"))
         answer = using(settings, ask, environ=environ)
-    assert answer.reply.text == "your key is [key]"
+    assert answer.text == "your key is [key]"
     chain = repr(caught.value) + repr(caught.value.__context__) + str(vars(caught.value))
     for shown in (chain, repr(answer), answer.raw, caplog.text, repr(settings), settings.model_dump_json()):
         assert KEY not in shown
@@ -491,19 +508,20 @@ def test_a_retry_after_beyond_the_limit_ends_the_call(endpoint: Endpoint, stated
 
 
 def test_a_stalled_server_times_out(endpoint: Endpoint) -> None:
-    error = failing(endpoint, EndpointUnavailable, *[endpoint.stalls()] * 2, timeout_s=0.2, retries=1)
+    began = time.monotonic()
+    call, error = failing(endpoint, EndpointUnavailable, *[endpoint.stalls()] * 2, timeout_s=0.2, retries=1)
     assert "timed out after 0.2 s (2 tries)" in str(error)
-    assert (error.effort.requests, error.effort.lost) == (2, 2)
-    assert 0.4 <= error.effort.elapsed_s < 5
+    assert (call.requests, call.lost) == (2, 2)
+    assert 0.4 <= time.monotonic() - began < 5
 
 
 def test_an_oversized_body_is_rejected(endpoint: Endpoint) -> None:
-    error = failing(endpoint, UnusableReply, huge(8 * MAX_REPLY_BYTES))
+    _, error = failing(endpoint, UnusableReply, huge(8 * MAX_REPLY_BYTES))
     assert f"at most {MAX_REPLY_BYTES} bytes" in str(error)
 
 
 def test_nothing_is_sent_while_the_key_is_missing(endpoint: Endpoint) -> None:
-    error = failing(endpoint, NotSent, api_key_env="MY_KEY")
+    call, error = failing(endpoint, NotSent, api_key_env="MY_KEY")
     assert "MY_KEY is not set" in str(error)
     assert endpoint.asked == []
-    assert error.effort.requests == 0
+    assert call.requests == 0
