@@ -10,7 +10,6 @@ from shlex import quote
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
 from brink.api.client import Api, Refused
@@ -44,12 +43,12 @@ from brink.cli.options import (
 from brink.server.api.schemas import CampaignView, JobList, JobViewModel, Progress, WorkerView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, read_campaign_file
 from brink.server.errors import InvalidInput
-from brink.server.findings.boundary.views import Boundary, DbsCell
+from brink.server.findings.boundary.views import Boundary
 from brink.server.states import CampaignStatus
 from brink.sim.catalogue import start_words
 
 ERRORS_SHOWN = 5
-SOLUTIONS_SHOWN = 5
+SOLUTIONS_SHOWN = 50
 MOST_LISTED = 200
 """Campaigns that the coordinator lists at once."""
 ALL_GENERATIONS = 10**9
@@ -297,9 +296,9 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         f"{progress.unsafe} unsafe, {failures_of(progress)} failed, {progress.measured} measured on data, "
         f"generation {progress.generation}"
     )
-    if progress.is_for("pairs"):
-        screen.print(where_pairs_are(progress, place), soft_wrap=True)
-    elif series and progress.is_for("boundary"):
+    if progress.evaluated:
+        screen.print(f"show what it found with: {program()} findings {progress.id}{place}", soft_wrap=True)
+    if series and progress.is_for("boundary"):
         screen.print(
             f"boundary: {series[-1].dbs} distinct, {series[-1].strict_dbs} strict (fitness at most "
             f"{progress.t_b:g}, {progress.d_th:g} apart) {spark([one.dbs or 0 for one in series])}"
@@ -352,109 +351,12 @@ def results(
         if as_json:
             print_json(document)
         elif out is None:
-            await _show_boundary(
-                api, Boundary.model_validate(document), campaign, place_option(server, database)
-            )
+            from brink.cli.findings import show_kind  # not before the coordinator has answered
+
+            settings = {**params, "thresholds": True, "rows": SOLUTIONS_SHOWN}
+            await show_kind(api, campaign, "boundary", settings, more="--out FILE")
 
     with_api(server, database, work)
-
-
-async def _show_boundary(api: Api, boundary: Boundary, campaign: str, place: str) -> None:
-    """Print the boundary; after a search for pairs, first print where to find the pairs."""
-    screen = console()
-    found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
-    if not found.evaluated:
-        screen.print(f"no solution has been evaluated yet: the campaign is {found.status}, {_done(found)}")
-        return
-    if found.is_for("tolerances"):
-        command = f"{program()} tolerance {found.id}{place}"
-        words = f"this campaign estimated tolerances, not a boundary; show them with: {command}"
-        screen.print(words, soft_wrap=True)
-        return
-    if found.is_for("pairs"):
-        screen.print(where_pairs_are(found, place), soft_wrap=True)
-    if "boundary" not in found.finds:
-        command = f"{program()} report {found.id}{place}"
-        screen.print(
-            f"this campaign did not look for a boundary; see what it found with: {command}", soft_wrap=True
-        )
-    screen.print(
-        f"{boundary.dbs:,} distinct boundary solutions, {boundary.strict_dbs:,} strict{within_budget(boundary)}"
-    )
-    if found.is_for("pairs") and not any(cell.dbs for cell in boundary.grid):
-        return
-    if boundary.solutions:
-        screen.print(solution_table(boundary, shown=50, rest="with --out boundary.csv"))
-    screen.print(grid_table(boundary.grid))
-    screen.print(boundary.note, style="dim")
-
-
-def _done(progress: Progress) -> str:
-    return f"{progress.simulations} of {progress.budget} simulations"
-
-
-def where_pairs_are(progress: Progress, place: str, *, options: str = "", do: str = "show them") -> str:
-    """Return how to continue with the results of a search for pairs.
-
-    Args:
-        progress: The campaign.
-        place: The option that names its coordinator or database in hints.
-        options: Further options of `brink pairs`.
-        do: What that command does with the pairs, in words.
-    """
-    ended = progress.status not in (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
-    verb = "searched" if ended else "is searching"
-    return (
-        f"this campaign {verb} for pairs across the boundary; {do} with: "
-        f"{program()} pairs {progress.id}{options}{place}"
-    )
-
-
-def within_budget(boundary: Boundary) -> str:
-    """Return the figures that comparisons count instead, if they differ; otherwise an empty string."""
-    within = boundary.within_budget
-    if within is None or (within.dbs, within.strict_dbs) == (boundary.dbs, boundary.strict_dbs):
-        return ""
-    return f"; {within.dbs} and {within.strict_dbs} within the budget of {within.simulations:,} simulations"
-
-
-def grid_table(grid: list[DbsCell]) -> Table:
-    """Return a table of DBS and strict DBS over the paper's grid of thresholds."""
-    t_bs = sorted({cell.t_b for cell in grid})
-    cells = {(cell.d_th, cell.t_b): f"{cell.dbs} ({cell.strict_dbs})" for cell in grid}
-    rows: list[tuple[str | Text, ...]] = [
-        (Text(f"{d_th:g}", "dim"), *(cells[d_th, t_b] for t_b in t_bs))
-        for d_th in sorted({cell.d_th for cell in grid})
-    ]
-    right = [f"t_b {t_b:g}" for t_b in t_bs]
-    table = plain_table("d_th", *right, right=right, title="DBS (strict DBS)", rows=rows)
-    table.title_style = "dim"
-    return table
-
-
-def solution_table(
-    boundary: Boundary, shown: int = SOLUTIONS_SHOWN, *, rest: str = "in boundary.csv"
-) -> Table:
-    """Return a table of the best boundary solutions, and how to list the rest."""
-    rows = [
-        (
-            str(one.number),
-            one.outcome or one.verdict,
-            f"{one.robustness:.2f}",
-            f"{one.fitness:.3f}",
-            f"{one.unsafe_neighbours} of {one.neighbours}",
-            one.words,
-        )
-        for one in boundary.solutions[:shown]
-    ]
-    numbers = ("robustness", "fitness", "unsafe neighbours")
-    columns = ("number", "outcome", *numbers, "description")
-    table = plain_table(*columns, right=("number", *numbers), rows=rows)
-    listed = len(boundary.solutions)
-    if listed > shown:
-        beyond = f", and {boundary.dbs - listed:,} that are not listed" if boundary.dbs > listed else ""
-        table.add_row("…", "", "", "", "", f"and {listed - shown} more {rest}{beyond}")
-    return table
 
 
 def tag(

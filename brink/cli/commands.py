@@ -28,11 +28,11 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     },
     "Inspect": {
         "status": ("brink.cli.campaigns:status", "Show campaigns, or the progress of one"),
-        "findings": ("brink.cli.kinds:findings", "Show the findings of a campaign, or one kind"),
+        "findings": ("brink.cli.findings:findings", "Show the findings of a campaign, or one kind"),
         "results": ("brink.cli.campaigns:results", "Show or export distinct boundary solutions"),
         "pairs": ("brink.cli.pairs:pairs", "Show or export safe and unsafe drives side by side"),
         "tolerance": ("brink.cli.tolerance:tolerance", "Show how severe a component's errors may be"),
-        "violations": ("brink.cli.findings:violations", "Show the types of violations found"),
+        "violations": ("brink.cli.violations:violations", "Show the types of violations found"),
         "combinations": ("brink.cli.findings:combinations", "Show hazardous chains of perturbations"),
         "compare": ("brink.cli.compare:compare", "Compare campaigns, each with its control"),
         "plot": ("brink.cli.draw:plot", "Draw the figures of a campaign"),

@@ -10,7 +10,7 @@ from rich.table import Table
 from brink.api.client import Api
 from brink.api.live import failures_of
 from brink.api.results import fetch_archive, read_all_pairs
-from brink.cli.campaigns import ALL_GENERATIONS, where_pairs_are
+from brink.cli.campaigns import ALL_GENERATIONS
 from brink.cli.options import (
     AsJson,
     Database,
@@ -20,6 +20,7 @@ from brink.cli.options import (
     place_option,
     plain_table,
     print_json,
+    program,
     with_api,
 )
 from brink.report.comparison import compared_archives
@@ -82,10 +83,9 @@ def compare(
     boundary = {one.id for one in progress if one.is_for("boundary")}
     if shown := [row for row in rows if row.campaign in boundary]:
         print_rows(screen, shown, d_th or PAPER_D_THS)
+    place = place_option(server, database)
     for one in progress:
-        if one.is_for("pairs"):
-            words = where_pairs_are(one, place_option(server, database))
-            screen.print(f"{one.name}: {words}", soft_wrap=True)
+        screen.print(f"{one.name}: {program()} findings {one.id}{place} shows what it found", soft_wrap=True)
 
 
 def _counts(pairs: PairsView | TooManyPairs) -> dict[str, int] | None:

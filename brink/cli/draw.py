@@ -8,7 +8,7 @@ import typer
 
 from brink.api.client import Api
 from brink.api.live import Steps
-from brink.api.results import fetch_archive, fetch_requirements, read_all_pairs, trace_of
+from brink.api.results import fetch_archive, fetch_requirements, trace_of
 from brink.api.terminal import echo
 from brink.cli.options import (
     RESULTS,
@@ -26,7 +26,7 @@ from brink.cli.options import (
 )
 from brink.pictures import render
 from brink.report.campaign import campaign_report, write_page
-from brink.report.figures import draw_figures
+from brink.report.figures import draw_figures, marked_pairs
 from brink.report.kind_pictures import MOST_PAIRS
 from brink.search.errors import TooManyPairs
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
@@ -55,9 +55,7 @@ def plot(
         folder = out or RESULTS / f"plots-{campaign}"
         folder.mkdir(parents=True, exist_ok=True)
         formats = ("png", "svg") if svg else ("png",)
-        pairs = None
-        if fetched.plan.is_for("pairs"):
-            pairs = await read_all_pairs(api, fetched.id)
+        pairs = await marked_pairs(api, fetched)
         if isinstance(pairs, TooManyPairs):
             console(stderr=True).print(f"no pair is marked: {pairs}", soft_wrap=True, style="yellow")
         with Steps(console(stderr=True), "drawing figures") as steps:

@@ -8,7 +8,9 @@ from typing import Final
 from brink.api.client import Api
 from brink.api.results import UNDRAWABLE, FetchedArchive, read_all_pairs
 from brink.report.pair_pictures import write_pair
+from brink.report.tables import markdown_rows
 from brink.search.errors import TooManyPairs
+from brink.server.findings.pairs.table import pairs_table
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView, PairView
 from brink.server.findings.table import FORMATS, has_parquet
 from brink.server.problems.changes import as_sentence
@@ -53,14 +55,8 @@ class PairEvidence:
         ]
         if not view.pairs:
             return "\n\n".join(parts)
-        rows = [
-            f"| {pair.place} | {_cell(as_sentence(pair.change))} | {_cell(pair.unsafe.outcome)} | "
-            f"{_cell(pair.safe.outcome)} | {_cell(', '.join(pair.evidence))} |"
-            for pair in view.pairs
-        ]
-        head = "| pair | change | unsafe side | safe side | evidence |\n|---:|---|---|---|---|"
         parts += [
-            "\n".join([head, *rows]),
+            "\n".join(markdown_rows(pairs_table(view))),
             "\n".join(f"- {as_sentence(words)}." for words in view.legend),
             *(self._shown(pair) for pair in view.pairs if pair.place in self.drawn),
         ]
@@ -74,10 +70,6 @@ class PairEvidence:
         picture, *films = self.drawn[pair.place]
         told += [*pair.shown, *(f"[Film]({path})." for path in films)]
         return f"## Pair {pair.place}\n\n{' '.join(told)}\n\n![Pair {pair.place}]({picture})"
-
-
-def _cell(words: str) -> str:
-    return words.replace("|", "\\|")
 
 
 async def write_pair_tables(api: Api, fetched: FetchedArchive, folder: Path) -> PairEvidence | TooManyPairs:

@@ -11,6 +11,7 @@ from rich.console import Console
 from brink.api.client import Api
 from brink.api.follow_ups import OPEN, follow_up_options, follow_up_requests
 from brink.api.terminal import echo
+from brink.cli.findings import show_kind
 from brink.cli.local import CommandSession, check_extra_of, run_locally, stopping
 from brink.cli.options import (
     RESULTS,
@@ -28,7 +29,6 @@ from brink.cli.options import (
     with_api,
 )
 from brink.cli.pair_pictures import PICTURES, chosen_pair, draw_pair
-from brink.cli.pair_tables import print_pairs
 from brink.cli.results_folder import update_pairs
 from brink.report.pair_pictures import FILMS
 from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, question_of
@@ -174,16 +174,17 @@ def pairs(
                 await draw_pair(api, view, chosen_pair(view, place, option), path, workers=server is not None)
                 echo(path)
             return
+        if as_json:
+            view = await (
+                fetch_asked(api, campaign, limit, **params)
+                if asked and limit is not None
+                else fetch_pairs(api, campaign, **params, limit=limit or MOST_PAIRS)
+            )
+            print_json(view.model_dump(mode="json"))
+            return
         if wanted is Format.TABLE:
-            if asked and limit is not None:
-                view = await fetch_asked(api, campaign, limit, **params)
-            else:
-                params["limit"] = limit or (MOST_PAIRS if as_json else PAIRS_SHOWN)
-                view = await fetch_pairs(api, campaign, **params)
-            if as_json:
-                print_json(view.model_dump(mode="json"))
-            else:
-                print_pairs(console(), view)
+            rows = {"rows": limit or PAIRS_SHOWN} | ({"first": limit} if asked and limit else {})
+            await show_kind(api, campaign, "pairs", params | rows, more=f"--limit up to {MOST_PAIRS:,}")
             return
         params |= {"limit": limit or MOST_PAIRS, "format": wanted.value}
         written = await api.request("GET", f"/campaigns/{campaign}/pairs", params=params)

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from brink.api.client import Api
 from brink.api.follow_ups import OPEN
-from brink.cli.campaigns import ALL_GENERATIONS, where_pairs_are
+from brink.cli.findings import print_steps, print_table
 from brink.cli.local import CommandSession, check_extra_of, run_locally, stopping
 from brink.cli.options import (
     AsJson,
@@ -21,17 +21,16 @@ from brink.cli.options import (
     check_picture,
     console,
     place_option,
-    plain_table,
     print_json,
+    print_sentence,
     settings_with,
     with_api,
     write_json,
 )
-from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.follow_ups.kinds.confirm import DEFAULT_CONFIRMATIONS
 from brink.server.findings.boundary.repeat_views import RepeatedSolution, RepeatsView
-from brink.server.findings.boundary.repeats import DEFAULT_REPEATS
+from brink.server.findings.boundary.repeats import DEFAULT_REPEATS, repeats_table
+from brink.server.findings.finding import Findings
 from brink.server.states import CampaignStatus
 
 SOLUTIONS_SHOWN = 20
@@ -65,7 +64,7 @@ def repeats(
     with_api(
         server,
         database,
-        lambda api: _say_where_pairs_are(api, campaign, place_option(server, database), screen),
+        lambda api: _say_what_comes_first(api, campaign, place_option(server, database), screen),
     )
     if server:
         view = with_api(server, database, lambda api: _find_or_submit(api, campaign, request))
@@ -90,13 +89,12 @@ def repeats(
     raise typer.Exit(int(not server and view.status is not CampaignStatus.FINISHED))
 
 
-async def _say_where_pairs_are(api: Api, campaign: str, place: str, screen: Console) -> None:
-    """Explain how to simulate pairs again if the campaign searched for pairs rather than for the boundary."""
-    found = await api.read(Progress, f"/campaigns/{campaign}/progress", {"since": ALL_GENERATIONS})
-    if found.is_for("pairs"):
-        options = f" --confirm {DEFAULT_CONFIRMATIONS}"
-        do = "simulate these again with other seeds"
-        screen.print(where_pairs_are(found, place, options=options, do=do), soft_wrap=True)
+async def _say_what_comes_first(api: Api, campaign: str, place: str, screen: Console) -> None:
+    """Say what can be asked about the findings of a campaign that is for something else than the boundary."""
+    found = await api.read(Findings, f"/campaigns/{campaign}/findings", {"rows": 0})
+    if found.findings and found.findings[0].kind != "boundary":
+        print_sentence(screen, found.words)
+        print_steps(screen, [step for step in found.steps if step.tells_more], place)
 
 
 async def _run(session: CommandSession, campaign: str, request: dict[str, Any], workers: int) -> RepeatsView:
@@ -160,25 +158,7 @@ async def repeat_finished(session: CommandSession, campaign: str, times: int) ->
 def _print_repeats(screen: Console, view: RepeatsView) -> None:
     """Print the results of the repeats, and the solutions most likely to be unsafe."""
     screen.print(view.words, soft_wrap=True)
-    evaluated = [one for one in view.solutions if one.evaluated]
-    if not evaluated:
-        return
-    columns = ("solution", "simulated", "unsafe", "probability", "interval", "neighbourhood")
-    rows = [
-        (
-            str(one.number),
-            str(one.evaluated),
-            str(one.unsafe),
-            f"{one.probability:.2f}",
-            f"{one.low:.2f} to {one.high:.2f}",
-            "–" if one.around is None else f"{one.around_low:.2f} to {one.around_high:.2f}",
-            one.conclusion or "",
-        )
-        for one in sorted(evaluated, key=_probability, reverse=True)[:SOLUTIONS_SHOWN]
-    ]
-    screen.print(plain_table(*columns, "", right=columns, rows=rows))
-    if len(evaluated) > SOLUTIONS_SHOWN:
-        screen.print(f"and {len(evaluated) - SOLUTIONS_SHOWN} less likely ones: --json prints them all")
+    print_table(screen, repeats_table(view), SOLUTIONS_SHOWN, more="--json prints them all")
 
 
 def _probability(one: RepeatedSolution) -> float:

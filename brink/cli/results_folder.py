@@ -12,11 +12,11 @@ from rich.console import Console
 from brink.api.client import Api
 from brink.api.live import Steps
 from brink.api.results import TRACE_TIMEOUT_S, fetch_archive
-from brink.cli.options import file_name, write_json
-from brink.cli.pair_findings import PairFindings, fetch_pair_findings
+from brink.cli.kind_files import PairFiles
+from brink.cli.options import file_name
 from brink.report.campaign import campaign_report, write_page
 from brink.report.figures import Drawing
-from brink.server.findings.boundary.views import Boundary
+from brink.server.findings.finding import Finding
 
 PAIRS_DRAWN: Final = 1
 """Pairs that the report of a run shows in full; `brink report` draws more."""
@@ -35,37 +35,6 @@ def results_folder(out: Path, name: str, campaign: str) -> Path:
         campaign: Full id of the campaign.
     """
     return out / f"{file_name(name)}-{campaign}"
-
-
-async def write_results(
-    api: Api, campaign: str, folder: Path, *, t_b: float, d_th: float, even_empty: bool = True
-) -> tuple[Boundary, list[Path]]:
-    """Write the boundary (CSV and JSON) and the archive of a campaign.
-
-    Args:
-        api: Coordinator of the campaign.
-        campaign: Id of the campaign.
-        folder: Folder to write to; created if missing.
-        t_b: Maximum fitness of a boundary solution.
-        d_th: Minimum distance between two boundary solutions.
-        even_empty: Whether to write the boundary even if it is empty.
-
-    Returns:
-        The boundary, and the files.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    path, params = f"/campaigns/{campaign}/boundary", {"t_b": t_b, "d_th": d_th}
-    document = await api.get(path, params)
-    boundary, files = Boundary.model_validate(document), []
-    if boundary.solutions or even_empty:
-        files = [folder / "boundary.csv", folder / "boundary.json"]
-        table = await api.request("GET", path, params={**params, "format": "csv"})
-        files[0].write_bytes(table.content)
-        write_json(files[1], document)
-    archive = await api.request("GET", f"/campaigns/{campaign}/archive.npz")
-    files.append(folder / "archive.npz")
-    files[-1].write_bytes(archive.content)
-    return boundary, files
 
 
 async def write_report(
@@ -114,11 +83,12 @@ async def update_pairs(api: Api, campaign: str, out: Path, screen: Console) -> N
         )
         return
     with Steps(screen, "updating the files of the run") as steps:
-        pairs = await fetch_pair_findings(api, fetched)
-        if not isinstance(pairs, PairFindings) or not pairs.differs_from(folder / _PAIRS):
+        pairs = PairFiles(fetched, await api.read(Finding, f"/campaigns/{fetched.id}/findings/pairs"))
+        await pairs.read(api)
+        if not pairs.differs_from(folder / _PAIRS):
             return
         there = {path.name for path in folder.iterdir()}
-        written = pairs.write(folder)
+        written = await pairs.write(api, folder)
         drawing = Drawing(
             api=api,
             campaign=fetched.id,

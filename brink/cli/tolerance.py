@@ -1,18 +1,17 @@
 """`brink tolerance`: how severe a component's errors may be, and the requirement that follows."""
 
 import asyncio
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from brink.api.client import Api
 from brink.cli.detector import Check, EpisodesCheck, Format, Output, RecordingCheck, chosen_format
+from brink.cli.findings import print_table, show_kind
+from brink.cli.kind_files import draw_tolerance
 from brink.cli.options import (
     AsJson,
     CampaignId,
@@ -21,24 +20,14 @@ from brink.cli.options import (
     check_ids,
     check_picture,
     console,
-    plain_table,
     print_json,
     with_api,
-    write_json,
 )
 from brink.cli.recording_options import GivenRecording, RecordingOptions, with_recording
 from brink.recordings.reading import formats_by_name
-from brink.report.figures import Drawing
 from brink.report.tolerance import requirement_document
 from brink.server.errors import InvalidInput
-from brink.server.findings.tolerances.kind import KEY
-from brink.server.findings.tolerances.views import AgreementView, CellView, ToleranceView
-
-ROWS_SHOWN: Final = 30
-"""Maximum number of rows of the table at the end of a run."""
-MOST_CONDITIONS: Final = 4
-"""Conditions beside which their tolerances fit."""
-
+from brink.server.findings.tolerances.views import AgreementView, ToleranceView
 
 RESULTS_FORMATS: Final = {one.value for one in Format}
 
@@ -228,12 +217,13 @@ def _show(campaign: str, wanted: Output, server: str | None, database: str | Non
     """Print, write and draw the tolerances of a campaign."""
 
     async def work(api: Api) -> None:
-        view = await fetch_tolerance(api, campaign)
+        path = f"/campaigns/{campaign}/tolerance"
+        view = await api.read(ToleranceView, path)
         if wanted.picture is not None:
             await asyncio.to_thread(draw_tolerance, view, wanted.picture)
         match wanted.form:
             case Format.TABLE | Format.HTML:
-                show_tolerance(console(), view)
+                await show_kind(api, campaign, "tolerances", {})
             case Format.SENTENCES:
                 wanted.write("".join(f"{cell.sentence}\n" for cell in view.cells))
             case Format.JSON:
@@ -243,7 +233,7 @@ def _show(campaign: str, wanted: Output, server: str | None, database: str | Non
                     requirement_document(view, None if wanted.picture is None else wanted.picture.name)
                 )
             case Format.CSV:
-                wanted.write((await fetch_csv(api, campaign)).decode())
+                wanted.write((await api.request("GET", path, params={"format": "csv"})).content.decode())
         wanted.name_files()
 
     with_api(server, database, work)
@@ -259,188 +249,5 @@ def _compare(campaign: str, fresh: str, server: str | None, database: str | None
     if as_json:
         print_json(view.model_dump(mode="json"))
         return
-    table = plain_table(
-        "error", "condition", "drives", "caused", "predicted", "", right=("drives", "caused", "predicted")
-    )
-    for cell in view.cells:
-        table.add_row(
-            cell.error,
-            cell.condition,
-            str(cell.drives),
-            str(cell.caused),
-            f"{cell.low} to {cell.high}",
-            "" if cell.agrees else Text("not as predicted", "yellow"),
-        )
-    screen = console()
-    screen.print(table)
-    screen.print(view.note, soft_wrap=True)
-
-
-async def fetch_tolerance(api: Api, campaign: str) -> ToleranceView:
-    """Return the tolerances of a campaign."""
-    return await api.read(ToleranceView, f"/campaigns/{campaign}/tolerance")
-
-
-async def fetch_csv(api: Api, campaign: str) -> bytes:
-    """Return the tolerances of a campaign as CSV."""
-    response = await api.request("GET", f"/campaigns/{campaign}/tolerance", params={"format": "csv"})
-    return response.content
-
-
-def draw_tolerance(view: ToleranceView, path: Path) -> None:
-    """Draw the curves of a campaign to a file."""
-    from brink.plots.tolerance import figure_tolerance
-
-    figure_tolerance(view).savefig(path)
-
-
-def show_tolerance(screen: Console, view: ToleranceView, *, briefly: bool = False) -> None:
-    """Print the requirement: the tolerances, where a larger error is safer, and the drives without error.
-
-    Args:
-        screen: Where to print.
-        view: The tolerances.
-        briefly: Whether a row has all conditions of an error, without the numbers of drives.
-    """
-    screen.print(Text.assemble((view.name, "bold"), f" ({view.campaign}): {view.note}"), soft_wrap=True)
-    screen.print(view.caveat, soft_wrap=True)
-    screen.print(
-        f"tolerated: the magnitude at which {view.limit:.0%} of drives violate because of the error, with an "
-        f"interval of {view.confidence:.0%}; mean width of the intervals: {view.mean_width:.3f} of the scale",
-        soft_wrap=True,
-        style="dim",
-    )
-    if briefly and len(view.conditions) <= MOST_CONDITIONS:
-        _show_matrix(screen, view)
-    else:
-        cells = view.cells[: ROWS_SHOWN if briefly else None]
-        screen.print(KEY, soft_wrap=True, style="dim")
-        screen.print(tolerance_table(cells))
-        _show_rest(screen, len(view.cells) - len(cells))
-    for cell in view.cells:
-        if cell.fall is not None:
-            screen.print(f"{cell.error}, {cell.condition}: {cell.fall.words}", soft_wrap=True)
-    screen.print("without any error, these shares of drives violate:")
-    table = plain_table("condition", "drives", "violate")
-    for one in view.baseline:
-        only = " or ".join(" ".join(choices.values()) for choices in one.choices if choices)
-        share = one.share
-        table.add_row(
-            f"{one.condition}{f' ({only})' if only else ''}",
-            str(share.evaluated),
-            f"{share.unsafe / share.evaluated:.0%} [{share.low:.0%}, {share.high:.0%}]"
-            if share.evaluated
-            else "–",
-        )
-    screen.print(table)
-    if view.audited:
-        screen.print(
-            f"drives that hold with the most severe error are assumed to hold with milder ones; of {view.audited} "
-            f"that were simulated nevertheless, {view.leaks} violated",
-            soft_wrap=True,
-            style="dim",
-        )
-    if view.open:
-        screen.print(
-            f"of {view.open} violations it is not known yet whether the error caused them; they count as caused",
-            soft_wrap=True,
-            style="dim",
-        )
-
-
-def _show_matrix(screen: Console, view: ToleranceView) -> None:
-    """Print a row for each error, with a column for each condition."""
-    rows: dict[tuple[str, ...], dict[str, CellView]] = {}
-    for cell in view.cells:
-        rows.setdefault(tuple(cell.choices.values()), {})[cell.condition] = cell
-    table = plain_table("error", *view.conditions)
-    for cells in list(rows.values())[:ROWS_SHOWN]:
-        table.add_row(
-            next(iter(cells.values())).error,
-            *(cells[one].tolerated_words if one in cells else "–" for one in view.conditions),
-        )
-    screen.print(table)
-    _show_rest(screen, len(rows) - ROWS_SHOWN)
-
-
-def _show_rest(screen: Console, rows: int) -> None:
-    if rows > 0:
-        screen.print(f"… and {rows} more in tolerance.csv", style="dim")
-
-
-def tolerance_table(cells: Sequence[CellView]) -> Table:
-    """Return a table of cells."""
-    table = plain_table(
-        "error",
-        "condition",
-        "tolerated",
-        "screened",
-        "vulnerable",
-        "drives",
-        "caused",
-        right=("screened", "vulnerable", "drives", "caused"),
-    )
-    for cell in cells:
-        table.add_row(
-            cell.error,
-            cell.condition,
-            cell.tolerated_words,
-            str(cell.screened or ""),
-            str(cell.vulnerable if cell.screened else ""),
-            str(cell.drives),
-            str(cell.caused),
-        )
-    return table
-
-
-class ToleranceFindings:
-    """The tolerances of a campaign at the end of `brink run`.
-
-    Args:
-        view: The tolerances.
-        table: The same as CSV.
-    """
-
-    name = "tolerances"
-
-    def __init__(self, view: ToleranceView, table: bytes) -> None:
-        self._view = view
-        self._table = table
-        self._missing: Collection[int] = ()
-        self.examples: Sequence[int] = [cell.examples[0].number for cell in view.cells if cell.examples]
-
-    def sentence(self) -> str:
-        """Return the findings in one sentence."""
-        return self._view.note
-
-    def show(self, screen: Console) -> None:
-        """Print the requirement."""
-        show_tolerance(screen, self._view, briefly=True)
-
-    def write(self, folder: Path) -> list[Path]:
-        """Write the requirement to files; return the files."""
-        files = [folder / f"tolerance.{ending}" for ending in ("csv", "json", "md")]
-        files[0].write_bytes(self._table)
-        write_json(files[1], self._view.model_dump(mode="json"))
-        files[2].write_text(requirement_document(self._view, "tolerance.png"), encoding="utf-8")
-        return files
-
-    async def draw(self, drawing: Drawing) -> list[Path]:
-        """Draw the curves; return the file."""
-        self._missing = drawing.missing  # of the replays, which are drawn later
-        path = drawing.folder / "tolerance.png"
-        await asyncio.to_thread(draw_tolerance, self._view, path)
-        return [path]
-
-    def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
-        """Return commands to suggest to the user next, each with its purpose."""
-        hints = [(f"tolerance {campaign} --format sentences{database}", "the requirement in sentences")]
-        if self.examples and self.examples[0] not in self._missing:
-            replay = f"replay {campaign} {self.examples[0]} --out replay.mp4{database}"
-            hints.append((replay, "watch an error cause a violation"))
-        return hints
-
-
-async def fetch_tolerance_findings(api: Api, campaign: str) -> ToleranceFindings:
-    """Return the tolerances of a campaign, and their table."""
-    return ToleranceFindings(await fetch_tolerance(api, campaign), await fetch_csv(api, campaign))
+    print_table(console(), view.table)
+    console().print(view.note, soft_wrap=True)

@@ -8,7 +8,6 @@ import base64
 import contextlib
 import html
 import io
-import math
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -34,9 +33,7 @@ from brink.python.frames import archive_frame, data_frame, table_frame, typed_fr
 from brink.python.picture import Picture
 from brink.python.synchronous import Synchronous, synchronous_method
 from brink.report.campaign import campaign_report, write_page
-from brink.report.combinations import COLUMNS as CHAIN_COLUMNS
-from brink.report.combinations import combination_rows
-from brink.report.figures import VIOLATION_TYPES, campaign_figure
+from brink.report.figures import VIOLATION_TYPES, campaign_figure, marked_pairs
 from brink.report.kind_pictures import MOST_PAIRS as MOST_SHOWN
 from brink.report.pair_pictures import headline, write_pair
 from brink.report.violations import figure_types
@@ -46,8 +43,7 @@ from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
 from brink.server.errors import InvalidInput, ServerError
 from brink.server.findings.boundary.table import boundary_columns, boundary_rows
 from brink.server.findings.boundary.views import Boundary
-from brink.server.findings.combinations.views import Combinations
-from brink.server.findings.finding import Finding, Findings
+from brink.server.findings.finding import Finding, Findings, Role
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.pairs.table import pair_columns, pair_rows
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView
@@ -355,9 +351,7 @@ class AsyncResult(CampaignResult):
         Raises:
             CoordinatorError: The problem has no ordered perturbations.
         """
-        async with self._connection.open() as api:
-            found = await api.read(Combinations, f"/campaigns/{self.id}/combinations")
-        return typed_frame(combination_rows(found), CHAIN_COLUMNS)
+        return await self.findings("combinations")
 
     async def tolerances(self) -> "pd.DataFrame":
         """Return how severe each error may be as a data frame.
@@ -365,9 +359,7 @@ class AsyncResult(CampaignResult):
         Raises:
             CoordinatorError: The campaign did not search for that.
         """
-        async with self._connection.open() as api:
-            document = await api.get(f"/campaigns/{self.id}/tolerance")
-        return data_frame([_cell_row(cell) for cell in document["cells"]])
+        return await self.findings("tolerances")
 
     async def plot(self, what: str = "map") -> "Figure":
         """Draw a figure, which a notebook displays and matplotlib can change.
@@ -386,10 +378,8 @@ class AsyncResult(CampaignResult):
                 found = await api.read(Violations, f"/campaigns/{self.id}/violations")
             return await asyncio.to_thread(figure_types, found)
         fetched = await self.archive()
-        pairs: PairsView | TooManyPairs | None = None
-        if self._progress.is_for("pairs"):
-            async with self._connection.open() as api:
-                pairs = await read_all_pairs(api, self.id)
+        async with self._connection.open() as api:
+            pairs = await marked_pairs(api, fetched)
         return await asyncio.to_thread(
             campaign_figure, what, fetched, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, pairs=pairs
         )
@@ -505,27 +495,12 @@ class Result(CampaignResult, Synchronous[AsyncResult]):
 
 
 async def _finding(api: Api, progress: Progress) -> str:
-    """Return the finding of a campaign in a sentence, and suggestions if a search for pairs found none."""
+    """Return the finding of a campaign in a sentence, and what to try if it found nothing of what it is for."""
     found = await api.read(Findings, f"/campaigns/{progress.id}/findings", {"rows": 0})
-    pairs = found.of_kind("pairs")
-    ended = progress.status is CampaignStatus.FINISHED
-    if pairs is None or not pairs.is_empty or not progress.is_for("pairs") or not ended:
+    first = found.findings[0] if found.findings and found.complete and found.of is None else None
+    if first is None or not first.is_empty or first.role is not Role.SOUGHT:
         return found.words
-    view = await api.read(PairsView, f"/campaigns/{progress.id}/pairs", {"limit": 1})
-    return f"{found.words} {_what_to_try(progress, view)}"
-
-
-def _what_to_try(progress: Progress, view: PairsView) -> str:
-    """Return suggestions after a search for pairs that found none."""
-    more = f"Try more simulations, such as {4 * progress.budget:,}"
-    if view.nearest is not None:
-        eps = math.ceil(100 * view.nearest.distance) / 100
-        return f"{more}, or look at solutions that are farther apart: pairs(eps={eps:g})."
-    if progress.unsafe in (0, progress.evaluated):
-        return (
-            f"{more}, wider ranges of the parameters, or another requirement: one that is violated at times."
-        )
-    return f"{more}."
+    return " ".join([found.words, *(step.words for step in first.steps)])
 
 
 def _check_runnable(progress: Progress) -> None:
@@ -540,20 +515,6 @@ def _check_runnable(progress: Progress) -> None:
             "machine is one: install the extra, name the plug-in in BRINK_PLUGINS, or, for a function, ask the "
             "result that brink.search() returned"
         )
-
-
-def _cell_row(cell: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a cell of a search for tolerances as a row."""
-    tolerated = cell["tolerated"]
-    return {
-        **{name.rpartition(".")[2]: choice for name, choice in cell["choices"].items()},
-        "condition": cell["condition"],
-        "finding": tolerated["finding"],
-        **{end: tolerated[end]["magnitude"] for end in ("value", "low", "high")},
-        "unit": cell["unit"],
-        "drives": cell["drives"],
-        "sentence": cell["sentence"],
-    }
 
 
 def _given(**settings: float | None) -> dict[str, float]:

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from brink.api.client import Api, CoordinatorError
-from brink.api.results import FetchedArchive, NoTrace, fetch_requirements, fetch_trace, run_episode
+from brink.api.results import (
+    FetchedArchive,
+    NoTrace,
+    fetch_requirements,
+    fetch_trace,
+    read_all_pairs,
+    run_episode,
+)
 from brink.pictures import render
 from brink.search.errors import TooManyPairs
 from brink.server.errors import InvalidInput
@@ -23,6 +30,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from brink.plots.inputs import CampaignFigures, VerdictWords
+
+
+async def marked_pairs(api: Api, fetched: FetchedArchive) -> PairsView | TooManyPairs | None:
+    """Return the pairs to mark in figures of a campaign; None if it did not search for them."""
+    return await read_all_pairs(api, fetched.id) if fetched.plan.is_for("pairs") else None
 
 
 def draw_figures(

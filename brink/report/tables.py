@@ -22,5 +22,5 @@ def markdown_rows(table: Table) -> list[str]:
     return [
         table_row([column.heading for column in table.shown]),
         table_row(rules),
-        *map(table_row, table.texts()),
+        *(table_row([text.replace("\n", "; ") for text in row]) for row in table.texts()),
     ]

@@ -11,10 +11,9 @@ from brink.server.api.responses import set_created
 from brink.server.api.schemas import MAX_NUMBER
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.follow_ups.follow_up import MOST
-from brink.server.campaigns.follow_ups.store import read_follow_ups
 from brink.server.documents import Body
 from brink.server.findings.boundary.repeat_views import RepeatsView
-from brink.server.findings.boundary.repeats import DEFAULT_REPEATS, count_distinct, repeats_view
+from brink.server.findings.boundary.repeats import DEFAULT_REPEATS, find_repeats
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["repeats"])
 
@@ -78,24 +77,11 @@ async def repeat_boundary(
         numbers=body.numbers,
     )
     set_created(response, f"campaigns/{repeats.id}", new=new)
-    views = await _views(services, campaign_id)
+    views = await find_repeats(services, campaign)
     return next(view for view in views if view.campaign == repeats.id)
 
 
 @router.get("/repeats")
 async def get_repeats(campaign_id: str, services: Services) -> list[RepeatsView]:
     """List the results of all repeats of a campaign's solutions, one entry for each request."""
-    return await _views(services, campaign_id)
-
-
-async def _views(services: Services, campaign_id: str) -> list[RepeatsView]:
-    campaign = await services.campaigns.get(campaign_id)
-    follow_ups = await services.pages.read(services.engines, lambda c: read_follow_ups(c, campaign.id))
-    stored = [one for one in follow_ups if one.repeats is not None]
-    if not stored:
-        return []
-    found = await services.archives.get(campaign)
-    distinct = [await count_distinct(services, campaign, one, found) for one in stored]
-    return await services.pages.run(
-        lambda: [repeats_view(campaign, one, found, of) for one, of in zip(stored, distinct, strict=True)]
-    )
+    return await find_repeats(services, await services.campaigns.get(campaign_id))

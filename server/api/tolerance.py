@@ -8,11 +8,12 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, field_validator
 
 from brink.server.api.context import Services
-from brink.server.api.responses import NOT_MODIFIED, etag_of, matches, not_modified
+from brink.server.api.responses import NOT_MODIFIED, etag_of, file_response, matches, not_modified
 from brink.server.campaigns.detector_check import MOST_DRIVES, Drive
 from brink.server.findings.tolerances.agreement import find_agreement
-from brink.server.findings.tolerances.analysis import find_tolerance, tolerance_csv
+from brink.server.findings.tolerances.analysis import find_tolerance
 from brink.server.findings.tolerances.detector import check_campaign, check_drives
+from brink.server.findings.tolerances.kind import cells_table
 from brink.server.findings.tolerances.views import AgreementView, DetectorView, ToleranceView
 from brink.sim.urban.detection_errors import Target
 from brink.sim.urban.error_meter import MEASURED
@@ -38,9 +39,8 @@ async def get_tolerance(
     if format == "json":
         response.headers["ETag"] = etag
         return view
-    return Response(  # type: ignore[return-value]
-        tolerance_csv(view), media_type="text/csv; charset=utf-8", headers={"ETag": etag}
-    )
+    content = await services.pages.run(lambda: cells_table(view).to_bytes(format))
+    return file_response(content, f"tolerances-{campaign.id}", format, {"ETag": etag})  # type: ignore[return-value]
 
 
 _TARGETS = tuple(target.value for target in Target)

@@ -89,7 +89,7 @@ class Subject:
         return Step(
             kind="longer",
             question="Search longer?",
-            words=words,
+            words=f"{words} Try {4 * self.campaign.budget:,} simulations.",
             label="Clone it with a larger budget",
             place=f"new?from={self.campaign.id}&simulations={4 * self.campaign.budget}",
             tells_more=True,

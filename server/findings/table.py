@@ -106,7 +106,8 @@ class Table(View):
             for cell, column in zip(row, self.columns, strict=True):
                 text = cell_text(cell, column.format)
                 if column.below and text:
-                    texts[-1] = f"{texts[-1]}\n{text}"
+                    what = f"{column.title} " if column.format is Format.SOLUTION else ""
+                    texts[-1] = f"{texts[-1]}\n{what}{text}"
                 elif not column.detail and not column.below:
                     texts.append(text)
             rows.append(texts)

@@ -130,6 +130,25 @@ def boundary_table(
     )
 
 
+def grid_table(grid: DbsGrid) -> Table:
+    """Return DBS and strict DBS over the paper's thresholds as a table, with a row for each distance."""
+    return Table(
+        name="thresholds",
+        title="DBS (strict DBS) at other thresholds",
+        columns=[
+            Column(name="d_th", title="d_th", format=Format.NUMBER),
+            *(Column(name=f"t_b {t_b:g}", title=f"t_b {t_b:g}") for t_b in grid.t_bs),
+        ],
+        rows=[
+            [
+                d_th,
+                *(f"{grid.dbs[row, column]} ({grid.strict[row, column]})" for row in range(len(grid.t_bs))),
+            ]
+            for column, d_th in enumerate(grid.d_ths)
+        ],
+    )
+
+
 def boundary_words(distinct: int, strict: int, *, t_b: float, d_th: float) -> str:
     """Count boundary solutions in words, such as ``3 distinct boundary solutions (…), 1 of them strict``."""
     noun = "solution" if distinct == 1 else "solutions"

@@ -11,9 +11,9 @@ from brink.server.campaigns.follow_ups.follow_up import MOST
 from brink.server.campaigns.plan import check_repeatable
 from brink.server.campaigns.store import ENDED
 from brink.server.errors import InvalidInput
-from brink.server.findings.boundary.analysis import boundary_note, boundary_table, boundary_words
+from brink.server.findings.boundary.analysis import boundary_note, boundary_table, boundary_words, grid_table
 from brink.server.findings.boundary.repeats import DEFAULT_REPEATS
-from brink.server.findings.finding import Finding, Step, StepRequest, Term
+from brink.server.findings.finding import Finding, Role, Step, StepRequest, Term
 from brink.server.findings.follow_ups import follow_up_view
 from brink.server.findings.kind import MOST_RINGS, Kind, Listed, Settings, Subject
 from brink.server.findings.solutions import solutions_of
@@ -22,10 +22,14 @@ from brink.server.states import FollowUpKind, Selection
 
 
 class BoundarySettings(Settings):
-    """Thresholds: the maximum fitness of a boundary solution, and the minimum distance between two of them."""
+    """Thresholds: the maximum fitness of a boundary solution, and the minimum distance between two of them.
+
+    `thresholds` adds DBS at other thresholds, which a search for the boundary always has.
+    """
 
     t_b: Annotated[float, Field(ge=0, le=1)] = DEFAULT_T_B
     d_th: Annotated[float, Field(ge=0, le=1)] = DEFAULT_D_TH
+    thresholds: bool = False
 
 
 class BoundaryKind(Kind):
@@ -46,6 +50,9 @@ class BoundaryKind(Kind):
         solutions = await sources.pages.read(
             sources.engines, lambda c: solutions_of(c, subject.campaign, read, numbers, rated=True)
         )
+        grid = []
+        if subject.rows and (subject.settings.thresholds or subject.role is Role.SOUGHT):
+            grid = [grid_table(await sources.boundaries.grid(subject.campaign, read))]
         near = subject.plan.neighbourhood
         is_strict = has_evidence(read.archive)[boundary.chosen]
         marked = [number for number, is_one in zip(numbers, is_strict, strict=False) if is_one]
@@ -68,7 +75,10 @@ class BoundaryKind(Kind):
             ],
             rings=[[int(number)] for number in read.archive.numbers[boundary.chosen[:MOST_RINGS]]],
             is_empty=not distinct,
-            tables=[boundary_table(solutions, marked, distinct, f"boundary?t_b={t_b:g}&d_th={d_th:g}")],
+            tables=[
+                boundary_table(solutions, marked, distinct, f"boundary?t_b={t_b:g}&d_th={d_th:g}"),
+                *grid,
+            ],
             steps=self._steps(subject, distinct, strict),
         )
 
@@ -79,8 +89,14 @@ class BoundaryKind(Kind):
 
     def _steps(self, subject: Subject, distinct: int, strict: int) -> list[Step]:
         campaign = subject.campaign.id
+        other = Step(
+            kind="thresholds",
+            question="What about other thresholds?",
+            words="Lists boundary solutions that are less near the boundary, or nearer to each other.",
+            command=f"brink results {campaign} --t-b 0.15 --d-th 0.1",
+        )
         if not distinct:
-            return [subject.longer("Only neighbourhoods with enough solutions lie near the boundary.")]
+            return [subject.longer("Only neighbourhoods with enough solutions lie near the boundary."), other]
         steps = _repeat(subject, distinct)
         if len(subject.plan.problem.space.components) > 1:
             steps.append(
@@ -93,14 +109,16 @@ class BoundaryKind(Kind):
                     command=f"brink compare {campaign}",
                 )
             )
-        steps.append(
-            Step(
-                kind="export",
-                question="Where is the evidence?",
-                words="Exports the boundary as tables, rules and replays.",
-                command=f"brink evidence {campaign} --out evidence",
+        steps.append(other)
+        if subject.plan.problem.records_traces:
+            steps.append(
+                Step(
+                    kind="export",
+                    question="Where is the evidence?",
+                    words="Exports the boundary as tables, rules and replays.",
+                    command=f"brink evidence {campaign} --out evidence",
+                )
             )
-        )
         if not strict:
             steps.append(subject.longer("No boundary solution is strict yet: that takes more neighbours."))
         return steps

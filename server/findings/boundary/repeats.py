@@ -1,6 +1,7 @@
 """Results of simulating boundary solutions again with other seeds."""
 
 from collections import Counter
+from typing import Final
 
 from brink.search.algorithms.repeats import Conclusion, simulations_to_clear
 from brink.search.fitness import wilson_interval
@@ -8,13 +9,37 @@ from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_T_B
 from brink.server.campaigns.follow_ups.follow_up import MOST, StoredFollowUp
 from brink.server.campaigns.follow_ups.kinds.confirm import tallies_of
+from brink.server.campaigns.follow_ups.store import read_follow_ups
 from brink.server.campaigns.store import Campaign
 from brink.server.findings.boundary.repeat_views import RepeatedSolution, RepeatsView
 from brink.server.findings.sources import Sources
+from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.words import listed_words
 from brink.server.states import CampaignStatus, Selection
 
 DEFAULT_REPEATS = 50
+COLUMNS: Final = [
+    Column(name="number", title="solution", format=Format.SOLUTION),
+    Column(name="evaluated", title="simulated", format=Format.COUNT),
+    Column(name="unsafe", title="unsafe", format=Format.COUNT),
+    Column(name="probability", title="probability"),
+    Column(name="interval", title="interval"),
+    Column(name="around", title="neighbourhood"),
+    Column(name="conclusion", title="conclusion", format=Format.STATE),
+]
+
+
+async def find_repeats(sources: Sources, campaign: Campaign) -> list[RepeatsView]:
+    """Return the results of all repeats of a campaign's solutions, one for each request."""
+    follow_ups = await sources.pages.read(sources.engines, lambda c: read_follow_ups(c, campaign.id))
+    stored = [one for one in follow_ups if one.repeats is not None]
+    if not stored:
+        return []
+    read = await sources.archives.get(campaign)
+    distinct = [await count_distinct(sources, campaign, one, read) for one in stored]
+    return await sources.pages.run(
+        lambda: [repeats_view(campaign, one, read, of) for one, of in zip(stored, distinct, strict=True)]
+    )
 
 
 async def count_distinct(
@@ -93,6 +118,28 @@ def repeats_view(
     rated = stored.selection is Selection.BOUNDARY or read_archive.plan.is_for("boundary")
     to_clear = simulations_to_clear(near.p_th, near.z) if rated else None
     return view.model_copy(update={"words": _in_words(view, to_clear)})
+
+
+def repeats_table(view: RepeatsView) -> Table:
+    """Return the repeated solutions with a verdict as a table, the most likely to be unsafe first."""
+    evaluated = [one for one in view.solutions if one.evaluated]
+    return Table(
+        name="repeats",
+        title="How likely each solution is to be unsafe",
+        columns=COLUMNS,
+        rows=[
+            [
+                one.number,
+                one.evaluated,
+                one.unsafe,
+                f"{one.probability or 0.0:.2f}",
+                f"{one.low:.2f} to {one.high:.2f}",
+                "" if one.around is None else f"{one.around_low:.2f} to {one.around_high:.2f}",
+                str(one.conclusion or ""),
+            ]
+            for one in sorted(evaluated, key=lambda one: one.probability or 0.0, reverse=True)
+        ],
+    )
 
 
 def _pooled(unsafe: int, evaluated: int, z: float) -> tuple[float, float] | None:

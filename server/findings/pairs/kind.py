@@ -1,5 +1,6 @@
 """Pairs as a kind of finding."""
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, Final
 
@@ -19,7 +20,14 @@ from brink.server.findings.follow_ups import follow_up_view
 from brink.server.findings.kind import MOST_RINGS, Kind, Listed, Settings, Subject
 from brink.server.findings.pairs.analysis import pairs_view
 from brink.server.findings.pairs.table import pairs_table
-from brink.server.findings.pairs.views import BestPair, FollowUpOffer, PairsFound, PairsView, PairView
+from brink.server.findings.pairs.views import (
+    MOST_PAIRS,
+    BestPair,
+    FollowUpOffer,
+    PairsFound,
+    PairsView,
+    PairView,
+)
 from brink.server.findings.pairs.words import chance_words, figures, meaning, trust
 from brink.server.findings.words import counted
 from brink.server.states import Selection
@@ -34,6 +42,9 @@ class PairsSettings(Settings):
 
     eps: Annotated[float | None, Field(ge=0, le=1)] = None
     d_th: Annotated[float | None, Field(ge=0, le=1)] = None
+    first: Annotated[
+        int | None, Field(ge=1, description="Leave out pairs with larger numbers than this one.")
+    ] = None
 
 
 class PairsKind(Kind):
@@ -63,17 +74,19 @@ class PairsKind(Kind):
                 is_empty=subject.role is not Role.SOUGHT,
                 steps=steps,
             )
+        first = subject.settings.first
+        limit = max(subject.rows, BEST) if first is None else MOST_PAIRS
         view = await sources.pages.read(
             sources.engines,
-            lambda c: pairs_view(
-                c, subject.campaign, subject.read, pairs, subject.stored, max(subject.rows, BEST)
-            ),
+            lambda c: pairs_view(c, subject.campaign, subject.read, pairs, subject.stored, limit),
         )
+        if first is not None:
+            view = view.model_copy(update={"pairs": [pair for pair in view.pairs if pair.place <= first]})
         sides = (
             [[pair.safe.number, pair.unsafe.number] for pair in pairs.found.pairs] if view.searched else []
         )
         caveats = []
-        if view.searched and view.distinct:  # what the outcomes say already is left out
+        if view.distinct:  # what the outcomes say already is left out
             caveats = [chance_words(view), view.caveat.removesuffix(odd_sentence(subject.plan.problem.space))]
         many, best = f"{subject.noun}s", view.pairs[:1]
         return Finding(
@@ -126,7 +139,7 @@ class PairsKind(Kind):
                 else []
             )
         if view is None or not has_pairs:
-            return [subject.longer("A larger budget finds nearer solutions with opposite verdicts.")]
+            return _search_on(subject, view)
         asked = [_ask(subject, view, offer) for offer in view.offers]
         return [*(step for step in asked if step is not None), _look(subject, view, "What happens in them?")]
 
@@ -193,6 +206,31 @@ def _ask(subject: Subject, view: PairsView, offer: FollowUpOffer) -> Step | None
         follow_up=None if open_one is None else follow_up_view(open_one.kind, open_one.campaign),
         tells_more=True,
     )
+
+
+def _search_on(subject: Subject, view: PairsView | None) -> list[Step]:
+    """Return what may lead to pairs after a search that found none."""
+    steps = [subject.longer("A larger budget finds nearer solutions with opposite verdicts.")]
+    if view is not None and not (view.safe and view.unsafe):
+        words = "All verdicts are the same: search wider ranges of the parameters, or by another requirement."
+        steps.append(Step(kind="widen", question="Can it violate anything?", words=words))
+    if view is not None and view.nearest is not None:
+        eps = _rounded_up(view.nearest.distance)
+        steps.append(
+            Step(
+                kind="nearest",
+                question="Which come closest?",
+                words=f"With eps={eps}, the nearest solutions with opposite verdicts are a pair.",
+                command=f"brink pairs {subject.campaign.id} --eps {eps}",
+            )
+        )
+    return steps
+
+
+def _rounded_up(distance: float) -> str:
+    """Return a distance in (0, 1] rounded up to two digits, as text."""
+    unit = 10.0 ** (math.floor(math.log10(distance)) - 1)
+    return f"{min(1.0, math.ceil(distance / unit) * unit):.2g}"
 
 
 def _look(subject: Subject, view: PairsView, question: str) -> Step:

@@ -6,6 +6,7 @@ from typing import Final
 from brink.search.space import SearchSpace
 from brink.server.findings.boundary.table import parameter_columns
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView, PairView
+from brink.server.findings.pairs.words import extent_words
 from brink.server.findings.table import Cell, Column, Format, Row, Table, table_bytes
 from brink.server.problems.changes import as_sentence
 
@@ -14,14 +15,16 @@ COLUMNS: Final = [
     Column(name="change", title="change from the safe to the unsafe drive"),
     Column(name="moved", title="how far", below=True),
     Column(name="common", title="in both", below=True),
+    Column(name="smaller", title="a smaller change", below=True),
     Column(name="unsafe_outcome", title="unsafe drive"),
+    Column(name="unsafe", title="solution", format=Format.SOLUTION, below=True),
     Column(name="unsafe_again", title="the same with other seeds", below=True),
     Column(name="safe_outcome", title="safe drive"),
+    Column(name="safe", title="solution", format=Format.SOLUTION, below=True),
     Column(name="safe_again", title="the same with other seeds", below=True),
     Column(name="confirmation", title="confirmation", format=Format.STATE),
     Column(name="evidence", title="evidence", below=True),
-    Column(name="safe", title="safe solution", format=Format.SOLUTION, detail=True),
-    Column(name="unsafe", title="unsafe solution", format=Format.SOLUTION, detail=True),
+    Column(name="extent", title="differing", below=True),
     Column(name="distance", title="distance", format=Format.NUMBER, detail=True),
     Column(name="component", title="blamed", detail=True),
     Column(name="minimality", title="minimality", detail=True),
@@ -84,14 +87,16 @@ def pairs_table(view: PairsView, rows: int | None = None) -> Table:
                 as_sentence(pair.change),
                 pair.moved,
                 f"in both: {pair.common}" if pair.common else "",
+                _smaller(pair),
                 pair.unsafe.outcome,
+                pair.unsafe.number,
                 pair.unsafe.again,
                 pair.safe.outcome,
+                pair.safe.number,
                 pair.safe.again,
                 str(pair.confirmation.state),
                 ", ".join(pair.evidence),
-                pair.safe.number,
-                pair.unsafe.number,
+                extent_words(pair),
                 pair.distance,
                 str(pair.component.state),
                 str(pair.minimality.state),
@@ -101,6 +106,14 @@ def pairs_table(view: PairsView, rows: int | None = None) -> Table:
         left_out=view.distinct - len(shown),
         file=f"pairs?eps={view.eps:g}&d_th={view.d_th:g}&limit={MOST_PAIRS}",
     )
+
+
+def _smaller(pair: PairView) -> str:
+    """Return the change that is left once differences were reverted; empty if that is all of it."""
+    less = pair.minimality.unsafe
+    if less is None or less.change == pair.change:
+        return ""
+    return f"{'minimal' if less.minimal else 'smaller'} change: {less.change}: {less.outcome}"
 
 
 def pairs_file(view: PairsView, space: SearchSpace, form: str) -> bytes:

@@ -1,5 +1,6 @@
 """Whether fresh drives agree with the predictions of tolerances."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -10,6 +11,7 @@ from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
 from brink.server.errors import InvalidInput
 from brink.server.findings.sources import Sources
+from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.tolerances.analysis import error_words
 from brink.server.findings.tolerances.views import AgreementCell, AgreementView
 
@@ -115,4 +117,24 @@ def agreement_view(
         note=f"{drives} fresh drives: in {agreeing} of {len(cells)} cells, as many violate because of the error as "
         f"predicted, within intervals of {confidence:.0%}",
         cells=cells,
+        table=_table(cells),
+    )
+
+
+def _table(cells: Sequence[AgreementCell]) -> Table:
+    return Table(
+        name="agreement",
+        title="Violations in fresh drives, and how many are predicted",
+        columns=[
+            Column(name="error", title="error"),
+            Column(name="condition", title="condition"),
+            Column(name="drives", title="drives", format=Format.COUNT),
+            Column(name="caused", title="caused", format=Format.COUNT),
+            Column(name="predicted", title="predicted"),
+            Column(name="agrees", title="as predicted", format=Format.FLAG),
+        ],
+        rows=[
+            [one.error, one.condition, one.drives, one.caused, f"{one.low} to {one.high}", one.agrees]
+            for one in cells
+        ],
     )

@@ -11,7 +11,6 @@ from brink.server.campaigns.detector_check import CellCheck
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
-from brink.server.csv_text import csv_text
 from brink.server.findings.follow_ups import ShareView
 from brink.server.findings.sources import Sources
 from brink.server.findings.tolerances.views import (
@@ -114,7 +113,7 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
         confidence=config.confidence,
         simulations=campaign.evaluated,
         open=len(found.tally.open_numbers),
-        note=_note(cells, drives, config.limit, config.confidence),
+        note=_note(cells, drives, config.limit),
         caveat=with_odd(_caveat(cells, config.limit), plan.problem.space),
         conditions=list(layout.conditions),
         baseline=_baselines(found),
@@ -125,15 +124,14 @@ def tolerance_view(campaign: Campaign, plan: Plan, found: CampaignTolerance) -> 
     )
 
 
-def _note(cells: list[CellView], drives: int, limit: float, confidence: float) -> str:
+def _note(cells: list[CellView], drives: int, limit: float) -> str:
     findings = [cell.tolerated.finding for cell in cells]
     reached, never = findings.count(Tolerated.LIMIT), findings.count(Tolerated.THROUGHOUT)
     if not any(cell.basis for cell in cells):
         return f"no drive with an error has been simulated yet; {len(cells)} cells are to be measured"
     return (
-        f"{len(cells)} cells, {drives} drives with an error: in {reached} the error makes {limit:.0%} of drives "
-        f"violate at some magnitude, in {never} at none; {len(cells) - reached - never} undecided; intervals of "
-        f"{confidence:.0%}"
+        f"of {len(cells)} cells, {reached} reach the limit of {limit:.0%} of drives at some magnitude, {never} at "
+        f"none, {len(cells) - reached - never} undecided; {drives:,} drives with an error"
     )
 
 
@@ -362,52 +360,3 @@ def _finding(curve: Curve, basis: str) -> Tolerated:
     if math.isinf(curve.tolerated.low):
         return Tolerated.THROUGHOUT
     return Tolerated.UNDECIDED if math.isinf(curve.tolerated.high) else Tolerated.LIMIT
-
-
-def tolerance_csv(view: ToleranceView) -> str:
-    """Return the tolerances as CSV, one row for each cell."""
-    names = list(view.cells[0].choices) if view.cells else []
-    ends = ("value", "low", "high")
-    rows: list[list[object]] = [
-        [
-            *(name.rpartition(".")[2] for name in names),
-            "error",
-            "condition",
-            "finding",
-            "unit",
-            *(f"tolerated_{end}" for end in ends),
-            *(f"severity_{end}" for end in ends),
-            "limit",
-            "confidence",
-            "screened",
-            "vulnerable",
-            "drives",
-            "caused",
-            "sentence",
-        ]
-    ]
-    for cell in view.cells:
-        amounts = [getattr(cell.tolerated, end) for end in ends]
-        rows.append(
-            [
-                *(cell.choices[name] for name in names),
-                cell.error,
-                cell.condition,
-                cell.tolerated.finding.value,
-                cell.unit,
-                *(_digits(one.magnitude) for one in amounts),
-                *(_digits(one.severity) for one in amounts),
-                view.limit,
-                view.confidence,
-                cell.screened,
-                cell.vulnerable,
-                cell.drives,
-                cell.caused,
-                cell.sentence,
-            ]
-        )
-    return csv_text(rows)
-
-
-def _digits(value: float | None) -> str:
-    return "" if value is None else f"{value:.4g}"

@@ -198,6 +198,10 @@ def cells_table(view: ToleranceView, rows: int | None = None) -> Table:
             for name in ("screened", "vulnerable", "drives", "caused")
         ),
         Column(name="example", title="mildest example", format=Format.SOLUTION, optional=True),
+        *(
+            Column(name=name, title=name, format=Format.NUMBER, detail=True)
+            for name in ("limit", "confidence")
+        ),
         Column(name="sentence", title="sentence", detail=True),
     ]
     shown = view.cells[:rows]
@@ -205,7 +209,16 @@ def cells_table(view: ToleranceView, rows: int | None = None) -> Table:
         name="tolerances",
         title="Tolerated magnitude of each error",
         columns=columns,
-        rows=[[*(cell.choices[name] for name in names), *_cells(cell)] for cell in shown],
+        rows=[
+            [
+                *(cell.choices[name] for name in names),
+                *_cells(cell),
+                view.limit,
+                view.confidence,
+                cell.sentence,
+            ]
+            for cell in shown
+        ],
         left_out=len(view.cells) - len(shown),
     )
 
@@ -226,7 +239,6 @@ def _cells(cell: CellView) -> list[str | int | float | None]:
         cell.drives,
         cell.caused,
         cell.examples[0].number if cell.examples else None,
-        cell.sentence,
     ]
 
 

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from brink.server.campaigns.detector_check import CheckResult
 from brink.server.findings.follow_ups import ShareView
+from brink.server.findings.table import Table
 from brink.server.states import CampaignStatus
 from brink.server.views import View
 
@@ -226,3 +227,4 @@ class AgreementView(View):
     agreeing: Annotated[int, Field(description="Cells whose number lies in its interval.")]
     note: str
     cells: list[AgreementCell]
+    table: Annotated[Table, Field(description="The cells as a table.")]

@@ -76,13 +76,11 @@ def test_a_search_without_pairs_says_what_to_try(folder: Path) -> None:
     options: dict[str, Any] = {"algorithm": "edge@1", "progress": False, "simulations": 20, "workers": 1}
     far = brink.search(inside, SPACE, params={"eps": 1e-6, "explore": 0.9}, **options)
     assert len(far.pairs()) == 0
-    found = re.search(
-        r"No pair within eps .* Try more simulations, such as 80, or .*: pairs\(eps=(.*)\)", far.finding
-    )
+    found = re.search(r"No pair within eps .* Try 80 simulations\. With eps=(\S+), the nearest", far.finding)
     assert found is not None, far.finding
     assert len(far.pairs(eps=float(found[1]))) > 0
     safe = brink.search(inside, {**SPACE, "x": (0.0, 0.1)}, **options)
-    assert "Try more simulations, such as 80, wider ranges of the parameters" in safe.finding
+    assert "Try 80 simulations. All verdicts are the same: search wider ranges" in safe.finding
 
 
 @pytest.mark.long("runs a search with workers")

@@ -17,10 +17,12 @@ from brink.search.analysis import boundary, neighbours
 from brink.search.analysis.folds import kinds_of_solutions
 from brink.search.metric import Metric
 from brink.server import app as server_app
-from brink.server.api import analysis, outcomes, pairs, repeats, solutions
+from brink.server.api import analysis, outcomes, solutions
 from brink.server.campaigns import outcomes as campaign_outcomes
 from brink.server.campaigns import plan
-from brink.server.findings.pairs import kind
+from brink.server.findings.boundary import repeats as repeated
+from brink.server.findings.boundary import table as boundary_table
+from brink.server.findings.pairs import kind, questions
 
 pytestmark = module_on_sqlite
 API = "/api/v1/campaigns"
@@ -29,15 +31,15 @@ AT_ONCE = 12
 LIMIT_S = 3.0
 WORK = (
     (solutions, "solution_views"),
-    (solutions, "boundary_rows"),
-    (solutions, "table_bytes"),
+    (boundary_table, "boundary_rows"),
+    (boundary_table, "table_bytes"),
     (np, "savez_compressed"),
     (analysis, "_map_view"),
     (analysis, "_dependence"),
     (outcomes, "_view"),
-    (pairs, "pairs_view"),
+    (questions, "pairs_view"),
     (kind, "pairs_view"),
-    (repeats, "repeats_view"),
+    (repeated, "repeats_view"),
     (campaign_outcomes, "read_outcomes"),
     (plan, "distinct_boundary"),
 )

@@ -144,7 +144,8 @@ def test_without_a_pair_the_next_step_is_a_larger_budget(client: httpx.Client) -
     found = finding(client, campaign)
     assert rings(found, "pairs") == []
     assert [(step["kind"], step["place"]) for step in found["steps"]] == [
-        ("longer", f"new?from={campaign}&simulations=80")
+        ("longer", f"new?from={campaign}&simulations=80"),
+        ("nearest", None),
     ]
 
 

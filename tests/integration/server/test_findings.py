@@ -8,10 +8,13 @@ from typing import Any
 
 import httpx
 import pytest
-from support.api import ball, expect, finish, listening_coordinator
+from support.api import FakeWorker, ball, completes, expect, finish, listening_coordinator, submit
 from support.databases import Databases, module_on_sqlite
 from support.extremes import ExtremesAlgorithm, ExtremesKind
 from support.problems import small_problems
+from support.tolerance import body as tolerance
+from support.tolerance import judge as judge_errors
+from support.traffic import traffic_worker
 from typer.testing import CliRunner
 
 import brink
@@ -19,8 +22,9 @@ from brink.cli.commands import app
 from brink.server import user_code
 from brink.server.findings.finding import Finding, Step
 from brink.server.findings.kind import FINDINGS, Subject, all_kinds
-from brink.server.problems.catalogue import ALGORITHMS
+from brink.server.problems.catalogue import ALGORITHMS, describe_algorithms
 from brink.sim import catalogue
+from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
 pytestmark = module_on_sqlite
 API = "/api/v1/campaigns"
@@ -157,12 +161,65 @@ def test_a_kind_that_a_campaign_does_not_have_is_refused(client: httpx.Client, c
     assert "it has extremes" in refused.json()["detail"]
 
 
-def test_sentences_of_all_kinds_have_at_most_25_words(client: httpx.Client) -> None:
-    edge = {"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}}
-    for algorithm in (edge, {"id": "random@1"}):
-        made = finish(client, ball(simulations=60, algorithm=algorithm))
-        for finding in expect(client.get(f"{API}/{made}/findings"))["findings"]:
-            assert len(finding["sentence"].split()) <= 25, finding["sentence"]
+def headlines(client: httpx.Client, campaign: str) -> dict[str, int]:
+    """Return the number of words of the sentence of each kind of findings of a campaign."""
+    found = expect(client.get(f"{API}/{campaign}/findings"))["findings"]
+    return {one["kind"]: len(one["sentence"].split()) for one in found}
+
+
+SLOTTED = {"id": "slotted@1"}
+
+
+def perturbed(job: LeasedJob) -> Completed:
+    """Let a strong perturbation be unsafe."""
+    robustness = 0.5 - job.spec["behaviour"]["strong"]
+    return Completed(
+        verdicts={"distance@1": WireVerdict(robustness=robustness, unit="m", violated_at_s=None)}
+    )
+
+
+def test_headlines_of_all_algorithms_have_at_most_25_words(client: httpx.Client) -> None:
+    own = [
+        one
+        for one in describe_algorithms()
+        if not one["internal"] and catalogue.is_own_plugin(ALGORITHMS, one["id"])
+    ]
+    seen: dict[str, int] = {}
+    ran = []
+    for algorithm in own:
+        params = {"eps": 0.3, "d_th": 0.1} if algorithm["id"] == "edge@1" else {}
+        asked = {"id": algorithm["id"], "params": params}
+        for problem in ({"id": "ball@1"}, SLOTTED):
+            answer = client.post(API, json=ball(simulations=120, problem=problem, algorithm=asked))
+            if answer.status_code == 422:  # it cannot search this space
+                continue
+            campaign = expect(answer, 201)["id"]
+            judge = perturbed if problem == SLOTTED else completes
+            if FakeWorker(client, judge=judge).work(campaign)["status"] == "finished":
+                ran.append(algorithm["id"])
+                words = headlines(client, campaign)
+                assert max(words.values()) <= 25, words
+                seen |= words
+    assert {"edge@1", "ga@1", "mlcshe@1", "random@1"} <= set(ran)
+    assert {"pairs", "boundary", "verdicts", "combinations"} <= seen.keys()
+
+
+@pytest.mark.long("runs searches for tolerances and violations")
+def test_headlines_of_tolerances_and_violations_have_at_most_25_words(client: httpx.Client) -> None:
+    tolerances = submit(client, tolerance(simulations=400))
+    FakeWorker(client, capabilities=("brink-drive-errors@1",), judge=judge_errors).work(tolerances)
+    traffic = {
+        "name": "traffic",
+        "problem": {"id": "npc-actions@1", "params": {"participants": 3, "duration_s": 12.0}},
+        "algorithm": {"id": "mumoea@1", "params": {"population_size": 20}},
+        "budget": {"simulations": 40},
+    }
+    violations = submit(client, traffic)
+    traffic_worker(client).work(violations)
+    for campaign, kind in ((tolerances, "tolerances"), (violations, "violations")):
+        words = headlines(client, campaign)
+        assert kind in words
+        assert max(words.values()) <= 25, words
 
 
 def test_kinds_are_found_without_a_list_of_them(client: httpx.Client) -> None:

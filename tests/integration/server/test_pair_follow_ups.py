@@ -14,10 +14,11 @@ from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.cli.pair_tables import print_pairs
+from brink.cli.findings import print_finding
 from brink.search.sequential import exact_interval
 from brink.server.campaigns.body import parse_body
 from brink.server.db.engine import Engines
+from brink.server.findings.finding import Finding
 from brink.server.findings.pairs.views import PairsView
 from brink.server.problems.urban_injected import SIMULATOR
 from brink.worker.wire import Completed, JobFailed, LeasedJob
@@ -63,6 +64,10 @@ def ask(client: httpx.Client, campaign: str, status: int = 201, **wanted: Any) -
     answer = client.post(f"{API}/{campaign}/pairs/follow-ups", json=wanted)
     found: dict[str, Any] = expect(answer, status)
     return found
+
+
+def finding_of(client: httpx.Client, campaign: str, **settings: float) -> Finding:
+    return Finding.model_validate(expect(client.get(f"{API}/{campaign}/findings/pairs", params=settings)))
 
 
 def pairs_of(client: httpx.Client, campaign: str) -> dict[str, Any]:
@@ -247,7 +252,7 @@ def test_ground_truth_in_the_same_episode_tells_whose_hazard_it_is(client: httpx
         "gap (the component's hazard), that of 1 violated the front gap all the same (the scenario's hazard)"
     ) in view["blame"]
     screen = Console(width=500, record=True, file=io.StringIO())
-    print_pairs(screen, PairsView.model_validate(view))
+    print_finding(screen, finding_of(client, campaign, d_th=0.01))
     assert view["blame"] in screen.export_text(), "the terminal says whose hazard it is"
     before = {one["number"]: one["seed"] for one in solutions(client, campaign)}
     after = solutions(client, asked["campaign"])
@@ -478,7 +483,7 @@ def test_pairs_say_what_they_do_not_say_of_a_detector_of_ones_own(client: httpx.
     assert "not that yours does" in view["caveat"]
     assert "urban-camera@1" in view["caveat"]
     screen = Console(record=True, width=80)
-    print_pairs(screen, PairsView.model_validate(view))
+    print_finding(screen, finding_of(client, campaign))
     assert view["caveat"] in screen.export_text()
     asked = ask(client, campaign, kind="component", d_th=0.01)
     worked(client, asked["campaign"])

@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rich.console import Console
 from typer.testing import CliRunner
 
-import brink.cli.pair_findings
+import brink.cli.kind_files
 from brink.api.client import Api
 from brink.api.results import NoTrace, fetch_archive
 from brink.cli.commands import app
+from brink.cli.kind_files import PairFiles
 from brink.cli.options import with_api
-from brink.cli.pair_findings import PairFindings, fetch_pair_findings
 from brink.report.figures import Drawing
 from brink.search import surrogate
+from brink.server.findings.finding import Finding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,14 +81,14 @@ def run(folder: Path, database: str, algorithm: dict[str, Any], *options: str, s
 def test_a_search_for_pairs_reports_them_first_with_files_and_a_picture(searched: Searched) -> None:
     shown, folder = searched.shown, searched.folder
     lines = [line.strip() for line in shown.splitlines()]
-    count = next(line for line in lines if "distinct pairs across the boundary" in line)
-    pairs = int(count.split()[0])
+    count = next(line for line in lines if line.startswith("Pairs: "))
+    pairs = int(count.split()[1])
     assert pairs > 0
     assert "checked" not in shown
     assert "simulated again yet" not in shown, "computed verdicts are the same each time"
     assert shown.index(count) < shown.find("distinct boundary solution"), "what it looks for comes first"
     assert "DBS (strict DBS)" not in shown
-    assert "2 of 2 parameters" in shown or "1 of 2 parameters" in shown
+    assert "numbers move by up to" in shown
     assert len((folder / "pairs.jsonl").read_text().splitlines()) == pairs
     assert len((folder / "pairs.csv").read_text().splitlines()) == pairs + 1
     assert (folder / "pair-1.png").read_bytes().startswith(b"\x89PNG")
@@ -106,7 +106,7 @@ def test_without_a_pair_nothing_is_written_and_the_summary_says_why(database: st
     told = json.loads(run(tmp_path, database, {"id": "edge@1"}, *again, simulations=60))
     assert told["pairs"]["distinct"] == 0
     assert not [file for file in told["files"] if "pair" in Path(file).name]
-    [wider] = [line.split()[4] for line in shown.splitlines() if " --eps " in line]
+    [wider] = [line.partition(" --eps ")[2].split()[0] for line in shown.splitlines() if " --eps " in line]
     assert told["pairs"]["nearest"]["distance"] <= float(wider) <= 1.1 * told["pairs"]["nearest"]["distance"]
 
 
@@ -118,19 +118,18 @@ def test_a_picture_that_cannot_be_drawn_is_left_out_with_a_word(
     async def fails(*_: object, **__: object) -> None:
         raise NoTrace("the episode of solution 3 failed on this machine: no")
 
-    monkeypatch.setattr(brink.cli.pair_findings, "write_pair", fails)
+    monkeypatch.setattr(brink.cli.kind_files, "write_pair", fails)
 
-    async def draw(api: Api) -> tuple[PairFindings, list[Path]]:
-        found = await fetch_pair_findings(api, await fetch_archive(api, campaign))
-        assert isinstance(found, PairFindings)
+    async def draw(api: Api) -> tuple[PairFiles, list[Path]]:
+        finding = await api.read(Finding, f"/campaigns/{campaign}/findings/pairs")
+        pairs = PairFiles(await fetch_archive(api, campaign), finding)
+        await pairs.read(api)
         drawing = Drawing(api=api, campaign=campaign, folder=tmp_path, stop=asyncio.Event(), timeout_s=1.0)
-        return found, await found.draw(drawing)
+        return pairs, await pairs.draw(drawing)
 
-    found, files = with_api(None, searched.database, draw)
+    pairs, files = with_api(None, searched.database, draw)
     assert files == []
-    screen = Console(record=True, width=120)
-    found.show(screen)
-    assert "no picture of pair 1: the episode of solution 3 failed" in screen.export_text()
+    assert "no picture of pair 1: the episode of solution 3 failed" in pairs.warning
 
 
 def test_a_follow_up_brings_the_files_of_the_run_up_to_date(

@@ -130,7 +130,7 @@ def test_csv_has_one_row_for_each_cell(service: Service) -> None:
         (*cell["choices"].values(), cell["condition"]) for cell in view["cells"]
     ]
     assert [row["sentence"] for row in rows] == [cell["sentence"] for cell in view["cells"]]
-    assert float(rows[0]["tolerated_value"]) == pytest.approx(
+    assert float(rows[0]["value"]) == pytest.approx(
         view["cells"][0]["tolerated"]["value"]["magnitude"], rel=1e-3
     )
 
@@ -338,7 +338,7 @@ def test_commands_show_write_and_draw_tolerances(service: Service, database: str
     assert "not reporting the lead for …" in shown
     assert "not reporting the nearest pedestrian for …" in shown
     assert "vulnerable: those that it makes violate" in shown
-    assert "without any error" in shown
+    assert "Drives without any error" in shown
     sentences = tolerance("--format", "sentences").splitlines()
     assert len(sentences) == 8
     assert sentences[0].startswith("By day: not reporting the lead for ")
