@@ -26,6 +26,7 @@ LISTED: Final = 200
 """Campaigns among which random search on the same problem is looked for, newest first."""
 MOST_ROWS: Final = 20
 """Rows of each table."""
+ALL_ROWS: Final = 1_000
 _JOBS: Final = 1000
 _ALL_GENERATIONS: Final = 10**9
 """Cursor beyond the last generation of every campaign, for progress without its series of generations."""
@@ -142,6 +143,8 @@ async def fetch_facts(api: Api, campaign: str, show: Show, *, episodes: str | No
     path = f"/campaigns/{view.id}"
     progress = await api.read(Progress, f"{path}/progress", {"since": _ALL_GENERATIONS})
     finding = await api.read(Findings, f"{path}/findings", {"rows": MOST_ROWS})
+    if finding.exclusive:  # its one finding is all that the report is about
+        finding = await api.read(Findings, f"{path}/findings", {"rows": ALL_ROWS})
     fetched = await fetch_archive(api, view.id)
     problem, archive = fetched.plan.problem, fetched.archive
     show("comparing with random search", 0, 0)

@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 
 from brink.cli.commands import app
 from brink.cli.options import with_api
+from brink.report import campaign_facts
 from brink.report.campaign import campaign_report
 from brink.search import curves, surrogate
 from brink.server.campaigns.body import parse_body
@@ -234,6 +235,7 @@ def test_a_search_for_tolerances_shows_sentences_and_curves_instead_of_pairs(
             client, tolerance_body(simulations=400, conditions=[{"name": "always"}])
         )
         cells = expect(client.get(f"{API}/{campaign}/tolerance"))["cells"]
+    monkeypatch.setattr(campaign_facts, "MOST_ROWS", 3)
     found = read(database_url, campaign, most_pairs=6)
     assert "Tolerances" in found.headings
     assert not {"Pairs", "Where it was unsafe", "The boundary"} & set(found.headings)
@@ -242,6 +244,7 @@ def test_a_search_for_tolerances_shows_sentences_and_curves_instead_of_pairs(
     limited = [cell["sentence"] for cell in cells if cell["tolerated"]["finding"] == "limit"]
     assert limited
     assert all(sentence in found.text for sentence in limited)
+    assert all(cell["tolerated_words"] in found.text for cell in cells)
     assert "No pair has been simulated again" not in found.text
 
 
