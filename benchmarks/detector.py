@@ -77,7 +77,7 @@ class Step(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Observation:
+class ObservedImage:
     """The content of an image, and the detector's output for it.
 
     Attributes:
@@ -327,7 +327,7 @@ def _loaded(detector_id: str) -> Detector:
     return find_detector(detector_id)
 
 
-def observe_street(job: Job) -> list[Observation]:
+def observe_street(job: Job) -> list[ObservedImage]:
     """Render the images of a street and run the detector on each, as it is and perturbed."""
     cv2.setNumThreads(1)
     detector = _loaded(job.detector_id)
@@ -339,8 +339,8 @@ def observe_street(job: Job) -> list[Observation]:
 
 def _observe(
     frame: LabelledFrame, index: int, detector: Detector, pipelines: Iterable[Pipeline]
-) -> Observation:
-    return Observation(
+) -> ObservedImage:
+    return ObservedImage(
         truth=frame.truth,
         depths_m=frame.depths_m,
         visible=frame.visible,
@@ -354,7 +354,7 @@ def _observe(
 
 def evaluate(
     detector_id: str,
-    observed: Sequence[Observation],
+    observed: Sequence[ObservedImage],
     *,
     seed: int,
     threshold: float,

@@ -19,7 +19,7 @@ from brink.scenarios.environment import FRICTION_PARAMETER, environment, frictio
 from brink.scenarios.exportable import EgoControl
 from brink.scenarios.network import RoadNetwork
 from brink.scenarios.urban_network import MAIN_LIGHTS
-from brink.scenarios.worlds import Body, BodyKind, ExportWorld, spec_of
+from brink.scenarios.worlds import BodyKind, Dimensions, ExportWorld, spec_of
 from brink.sim.driving.interface import LightState
 from brink.sim.trace import FloatArray, Trace
 from brink.sim.world.ego import EGO_CAR
@@ -53,7 +53,7 @@ class Track:
     """
 
     name: str
-    body: Body
+    body: Dimensions
     time_s: NDArray[np.float64]
     motion: NDArray[np.float64]
 
@@ -72,9 +72,9 @@ def tracks_of(trace: Trace, world: ExportWorld) -> list[Track]:
     time_s = trace.time_s.astype(np.float64).round(PLACES)
     kept = np.flatnonzero(np.append(np.diff(time_s) > 0.0, True))
     length_m, width_m = trace.ego_size_m
-    ego = Body(kind=BodyKind.CAR, length_m=length_m, width_m=width_m, height_m=EGO_CAR.height_m)
+    ego = Dimensions(kind=BodyKind.CAR, length_m=length_m, width_m=width_m, height_m=EGO_CAR.height_m)
 
-    def track(name: str, body: Body, motion: FloatArray) -> Track:
+    def track(name: str, body: Dimensions, motion: FloatArray) -> Track:
         return Track(name=name, body=body, time_s=time_s[kept], motion=motion[kept, :4].astype(np.float64))
 
     others = [track(actor.name, world.bodies[actor.name], actor.motion) for actor in trace.actors]
@@ -237,7 +237,7 @@ class _ScenarioBuilder:
         x_m, y_m, recorded_rad, _ = track.motion[sample].tolist()
         return self._place(track.body, x_m, y_m, recorded_rad if yaw_rad is None else yaw_rad)
 
-    def _place(self, body: Body, x_m: float, y_m: float, yaw_rad: float) -> xosc.WorldPosition:
+    def _place(self, body: Dimensions, x_m: float, y_m: float, yaw_rad: float) -> xosc.WorldPosition:
         """Return the reference point of a body, given its centre."""
         x_m -= body.reference_m * math.cos(yaw_rad)
         y_m -= body.reference_m * math.sin(yaw_rad)
@@ -249,7 +249,7 @@ class _ScenarioBuilder:
         return xosc.WorldPosition(x, y, z, h, p, 0.0)
 
 
-def entity_of(name: str, body: Body) -> Any:
+def entity_of(name: str, body: Dimensions) -> Any:
     """Return the entity of a body: a vehicle, a pedestrian or another object."""
     box = xosc.BoundingBox(
         *(round(value, PLACES) for value in (body.width_m, body.length_m, body.height_m)),

@@ -48,7 +48,7 @@ class BodyKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Body:
+class Dimensions:
     """The dimensions of a road user or an obstacle."""
 
     kind: BodyKind
@@ -88,8 +88,8 @@ class ExportWorld:
     weather: Weather
     signals: SignalPlan | None
     route: tuple[Pose, ...]
-    bodies: Mapping[str, Body]
-    parked: Mapping[str, tuple[Body, Pose]]
+    bodies: Mapping[str, Dimensions]
+    parked: Mapping[str, tuple[Dimensions, Pose]]
 
 
 def spec_of(trace: Trace) -> EpisodeSpec:
@@ -140,11 +140,13 @@ def _urban_world(scenario: UrbanScenario, seed: int, trace: Trace) -> ExportWorl
     )
 
 
-def _urban_body(kind: str, length_m: float, width_m: float) -> Body:
+def _urban_body(kind: str, length_m: float, width_m: float) -> Dimensions:
     if kind == "pedestrian":
-        return Body(kind=BodyKind.PEDESTRIAN, length_m=length_m, width_m=width_m, height_m=PERSON_HEIGHT_M)
+        return Dimensions(
+            kind=BodyKind.PEDESTRIAN, length_m=length_m, width_m=width_m, height_m=PERSON_HEIGHT_M
+        )
     van = length_m > 0.5 * (CAR.length_m + VAN.length_m)
-    return Body(
+    return Dimensions(
         kind=BodyKind.VAN if van else BodyKind.CAR,
         length_m=length_m,
         width_m=width_m,
@@ -152,11 +154,11 @@ def _urban_body(kind: str, length_m: float, width_m: float) -> Body:
     )
 
 
-def _parked_cars(road: Road) -> Mapping[str, tuple[Body, Pose]]:
+def _parked_cars(road: Road) -> Mapping[str, tuple[Dimensions, Pose]]:
     cars = [one for one in fixtures(road) if one.kind == "parked-car"]
     return {
         f"parked-{index}": (
-            Body(kind=BodyKind.CAR, length_m=one.length_m, width_m=one.width_m, height_m=one.height_m),
+            Dimensions(kind=BodyKind.CAR, length_m=one.length_m, width_m=one.width_m, height_m=one.height_m),
             (one.x_m, one.y_m, one.yaw_rad),
         )
         for index, one in enumerate(cars, start=1)
@@ -196,11 +198,11 @@ def _street_world(scenario: AebScenario, seed: int, trace: Trace) -> ExportWorld
     )
 
 
-def _street_bodies(actors: Sequence[Actor]) -> Mapping[str, Body]:
+def _street_bodies(actors: Sequence[Actor]) -> Mapping[str, Dimensions]:
     return {
         actor.name: _vehicle(actor.body.length_m, actor.body.width_m, actor.body.height_m)
         if actor.body.kind is RenderedKind.VEHICLE
-        else Body(
+        else Dimensions(
             kind=BodyKind.PEDESTRIAN if actor.body.kind is RenderedKind.PERSON else BodyKind.OBSTACLE,
             length_m=actor.body.length_m,
             width_m=actor.body.width_m,
@@ -210,6 +212,6 @@ def _street_bodies(actors: Sequence[Actor]) -> Mapping[str, Body]:
     }
 
 
-def _vehicle(length_m: float, width_m: float, height_m: float) -> Body:
+def _vehicle(length_m: float, width_m: float, height_m: float) -> Dimensions:
     kind = BodyKind.VAN if length_m >= VAN_SIZE_M[0] else BodyKind.CAR
-    return Body(kind=kind, length_m=length_m, width_m=width_m, height_m=height_m)
+    return Dimensions(kind=kind, length_m=length_m, width_m=width_m, height_m=height_m)

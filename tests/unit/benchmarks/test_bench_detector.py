@@ -12,7 +12,7 @@ from benchmarks.detector import (
     Bin,
     ClassAccuracy,
     DetectorAccuracy,
-    Observation,
+    ObservedImage,
     Step,
     evaluate,
     measure_detector,
@@ -40,9 +40,11 @@ def found(*places: int, score: float = 0.9) -> Detections:
     )
 
 
-def observation(clean: Detections, perturbed: Mapping[Perturbation, Detections] | None = None) -> Observation:
+def observation(
+    clean: Detections, perturbed: Mapping[Perturbation, Detections] | None = None
+) -> ObservedImage:
     under = {step.of(gene): found(*ALL) for gene in GENES for step in Step}
-    return Observation(
+    return ObservedImage(
         truth=GroundTruth(
             labels=np.array([VEHICLE] * 4 + [PERSON] * 4, np.int64),
             boxes=np.array(PLACES, np.float32),
