@@ -59,21 +59,21 @@ def test_the_map_is_coloured_by_a_parameter_and_remembers_it(page: Page, chart: 
 def test_the_table_of_boundary_solutions_is_filtered_and_sorted(site: Served, page: Page) -> None:
     solutions = boundary(site)["solutions"]
     region = page.get_by_role("region", name="The boundary", exact=True)
-    rows = region.locator("tbody tr")
+    rows = region.get_by_role("region", name="Distinct boundary solutions").locator("tbody tr")
     shown(region).to_contain_text(f"{len(solutions)} distinct boundary solutions")
 
     unsafe = [one for one in solutions if one["verdict"] == "unsafe"]
     assert 0 < len(unsafe) <= 12, "one page of the table"
-    region.get_by_label("Find").fill("unsafe")
+    region.get_by_role("searchbox", name="Find").fill("unsafe")
     shown(region.get_by_text(f"{len(unsafe)} of {len(solutions)} rows match.")).to_be_visible()
     shown(rows).to_have_count(len(unsafe))
-    region.get_by_label("Find").fill("safe")
+    region.get_by_role("searchbox", name="Find").fill("safe")
     shown(region.get_by_text(f"{len(solutions) - len(unsafe)} of {len(solutions)} rows")).to_be_visible()
 
     number = solutions[-1]["number"]
-    region.get_by_label("Find").fill(str(number))
+    region.get_by_role("searchbox", name="Find").fill(str(number))
     shown(rows.get_by_role("link", name=str(number), exact=True)).to_be_visible()
-    region.get_by_label("Find").fill("")
+    region.get_by_role("searchbox", name="Find").fill("")
 
     region.get_by_role("button", name="Robustness").click()
     shown(region.get_by_role("columnheader", name="Robustness")).to_have_attribute("aria-sort", "ascending")
@@ -85,7 +85,9 @@ def test_the_table_of_boundary_solutions_is_filtered_and_sorted(site: Served, pa
 
 def test_the_boundary_is_saved_as_csv_as_the_api_tells_it(site: Served, page: Page) -> None:
     with page.expect_download() as coming:
-        page.get_by_role("region", name="The boundary", exact=True).get_by_role("button", name="CSV").click()
+        page.get_by_role("region", name="The boundary", exact=True).get_by_role(
+            "button", name="CSV"
+        ).first.click()
     assert coming.value.suggested_filename == f"boundary-{site.urban}.csv"
     saved = Path(coming.value.path()).read_text(encoding="utf-8")
     assert (

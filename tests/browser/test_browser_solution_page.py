@@ -36,7 +36,7 @@ def solution(site: Served, browse: Browse) -> Page:
     number = unsafe_one(site)["number"]
     page = browse(loose(site.urban))
     table = page.get_by_role("region", name="The boundary", exact=True)
-    table.get_by_label("Find").fill(str(number))
+    table.get_by_role("searchbox", name="Find").fill(str(number))
     table.get_by_role("link", name=str(number), exact=True).click()
     shown(page.get_by_role("heading", name=f"Solution {number}", exact=True)).to_be_visible()
     shown(page.get_by_role("button", name="Play", exact=True)).to_be_visible(timeout=60_000)
