@@ -34,7 +34,7 @@ from brink.server.db.models import (
     SolutionRow,
     ViolationNameRow,
 )
-from brink.server.db.sql import database_now, in_list
+from brink.server.db.sql import database_now, in_list, lock_rows
 from brink.server.db.writer import Writer
 from brink.server.errors import Conflict, Unavailable
 from brink.server.queue import job_store
@@ -93,7 +93,7 @@ def read_trees(connection: Connection, roots: Sequence[str], *, lock: bool = Fal
         lock: Whether to lock all rows until the transaction ends. No follow-up can then be added: storing one locks
             the campaign that it is about.
     """
-    members = _MEMBERS.with_for_update(of=CampaignRow) if lock else _MEMBERS
+    members = lock_rows(_MEMBERS, connection, CampaignRow) if lock else _MEMBERS
     found = dict[str, TreeMember]()
     level = dict[str, str | None].fromkeys(roots)
     while level:
@@ -161,12 +161,8 @@ def erase_piece(connection: Connection, campaign_id: str) -> bool:
         connection: In a write transaction.
         campaign_id: The campaign. If another coordinator is erasing it, nothing is done.
     """
-    marked = (
-        select(CampaignRow.id)
-        .where(CampaignRow.id == campaign_id, CampaignRow.deleted_at.is_not(None))
-        .with_for_update(skip_locked=True)
-    )
-    if connection.execute(marked).one_or_none() is None:
+    marked = select(CampaignRow.id).where(CampaignRow.id == campaign_id, CampaignRow.deleted_at.is_not(None))
+    if connection.execute(lock_rows(marked, connection, CampaignRow, skip_locked=True)).one_or_none() is None:
         return True
     left = PIECE_ROWS
     left -= job_store.delete_some(connection, campaign_id, left)

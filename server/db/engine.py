@@ -18,6 +18,7 @@ from sqlalchemy.exc import ArgumentError
 from sqlalchemy.pool import ConnectionPoolEntry
 
 from brink.extras import install_command
+from brink.server.db.statements import share_round_trips
 from brink.server.errors import DatabaseError
 
 T = TypeVar("T")
@@ -121,6 +122,7 @@ def open_engines(database: str) -> Engines:
             connect_args=postgres_options(url, for_writing),
             hide_parameters=True,
         )
+        share_round_trips(writer)
         reader = create_engine(
             url,
             pool_pre_ping=True,

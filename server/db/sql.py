@@ -1,13 +1,13 @@
-"""SQL that several packages share: the database's clock, list parameters, lookup by id.
+"""SQL that several packages share: the database's clock, row locks, list parameters, lookup by id.
 
-SQLite and Postgres differ in the first two; this module hides the differences. Rows are locked with
-`with_for_update`, which SQLAlchemy leaves out on SQLite: its only writer holds the write lock from BEGIN on.
+SQLite and Postgres differ in most of these; this module hides the differences.
 """
 
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
 from sqlalchemy import (
@@ -37,11 +37,11 @@ from sqlalchemy.sql.functions import FunctionElement
 from sqlalchemy.types import TypeDecorator, TypeEngine
 
 from brink.server.db.models import NEXT_SEQUENCE, CampaignRow
+from brink.server.db.types import UtcDateTime
 from brink.server.errors import SHORTEST_ID, NotFound
 from brink.server.states import CampaignStatus
 
 V = TypeVar("V")
-_CLOCK = text("SELECT clock_timestamp()")
 MAX_ID = 16
 AMBIGUOUS_SHOWN = 5
 
@@ -49,7 +49,7 @@ AMBIGUOUS_SHOWN = 5
 def database_now(connection: Connection) -> datetime:
     """Return the database server's time, which decides leases; for SQLite that is this machine's."""
     if connection.dialect.name == "postgresql":
-        moment = connection.execute(_CLOCK).scalar_one()
+        moment = connection.execute(text("SELECT clock_timestamp()")).scalar_one()
         assert isinstance(moment, datetime)
         return moment.astimezone(UTC)
     return datetime.now(UTC)
@@ -93,9 +93,65 @@ LAST_TURN = (
 """The turn of a campaign that moves to the back of the queue, behind all running ones."""
 
 
+class _TransactionTime(FunctionElement[datetime]):
+    """The time at which the transaction began on Postgres, and a parameter on SQLite."""
+
+    type: TypeEngine[Any] = UtcDateTime()
+    inherit_cache = True
+
+
+@compiles(_TransactionTime, "sqlite")
+def _transaction_time_sqlite(element: _TransactionTime, compiler: SQLCompiler, **options: Any) -> str:
+    return compiler.process(element.clauses, **options)
+
+
+@compiles(_TransactionTime)
+def _transaction_time_postgres(element: _TransactionTime, compiler: SQLCompiler, **options: Any) -> str:
+    return "now()"
+
+
+def transaction_time(name: str) -> FunctionElement[datetime]:
+    """Return the time of the transaction by the database's clock.
+
+    SQLite has the clock of this machine, which the statement gets as the parameter `name`. Postgres needs none, so
+    that the first statement of a transaction can tell the time and use it.
+    """
+    return _TransactionTime(bindparam(name, type_=UtcDateTime()))
+
+
+def driver_time(value: datetime | str) -> datetime:
+    """Return a time from a row of a frequent statement: SQLite's driver returns text without a time zone."""
+    if isinstance(value, str):
+        return datetime.fromisoformat(value).replace(tzinfo=UTC)
+    return value.astimezone(UTC)
+
+
+def lock_rows(
+    query: Select[*tuple[Any, ...]], connection: Connection, table: Any, *, skip_locked: bool = False
+) -> Select[*tuple[Any, ...]]:
+    """Return a query that also locks its rows of one table until the transaction ends.
+
+    SQLite has no row locks and needs none: its only writer holds the write lock from BEGIN on.
+
+    Args:
+        query: Selects the rows.
+        connection: In a write transaction.
+        table: The mapped class whose rows are locked.
+        skip_locked: Leave out rows that another transaction has locked, instead of waiting for it.
+    """
+    if connection.dialect.name == "sqlite":
+        return query
+    return _for_update(query, table, skip_locked)
+
+
+@lru_cache(maxsize=64)  # SQLAlchemy compiles every new statement object again
+def _for_update(query: Select[*tuple[Any, ...]], table: Any, skip_locked: bool) -> Select[*tuple[Any, ...]]:
+    return query.with_for_update(of=table, skip_locked=skip_locked)
+
+
 def lock_campaign(connection: Connection, campaign_id: str) -> bool:
     """Lock a campaign's row until the transaction ends; return whether the campaign exists."""
-    query = select(CampaignRow.id).where(CampaignRow.id == campaign_id).with_for_update()
+    query = lock_rows(select(CampaignRow.id).where(CampaignRow.id == campaign_id), connection, CampaignRow)
     return connection.execute(query).one_or_none() is not None
 
 
@@ -215,7 +271,7 @@ class DocumentTable(Generic[V]):
         self, connection: Connection, condition: ColumnElement[bool], *, lock: bool = False
     ) -> V | None:
         query = select(self.table).where(condition, self.shown)
-        rows = connection.execute(query.with_for_update(of=self.table) if lock else query).all()
+        rows = connection.execute(lock_rows(query, connection, self.table) if lock else query).all()
         return self.build(connection, rows)[0] if rows else None
 
 

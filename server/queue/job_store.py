@@ -29,7 +29,7 @@ from sqlalchemy.orm import InstrumentedAttribute
 
 from brink.server.db.models import CampaignRow, JobRow, SolutionRow, TraceRow
 from brink.server.db.sql import constant, database_now, in_list
-from brink.server.db.statements import Statement
+from brink.server.db.statements import Statement, read
 from brink.server.db.types import UtcDateTime
 from brink.server.queue.wakeups import notify_coordinators
 from brink.server.states import CampaignStatus, JobKind, JobStatus, SolutionVerdict
@@ -381,7 +381,7 @@ def idle_campaigns(connection: Connection, campaigns: Iterable[str] | None = Non
     names = list(campaigns)
     if not names:
         return ()
-    return tuple(sorted(row.id for row in _IDLE_AMONG.run(connection, campaigns=names)))
+    return tuple(sorted(row.id for row in read(connection, (_IDLE_AMONG, {"campaigns": names}))[0]))
 
 
 def generation_outcomes(connection: Connection, campaign_id: str, generation: int) -> list[JobOutcome]:

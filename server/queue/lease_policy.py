@@ -88,12 +88,14 @@ class CampaignTurn:
     Attributes:
         turn: Campaigns of one priority are served in ascending order of their turns.
         served: Jobs handed out in this turn.
+        generation_end: First number of its candidates after the current generation; None if there is only that one.
     """
 
     campaign: str
     priority: int
     turn: int
     served: int
+    generation_end: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,19 +7,18 @@ and a lease can only be changed by naming its token.
 import itertools
 import json
 import secrets
-import typing
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from datetime import datetime, timedelta
-from typing import Any
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from typing import Any, cast
 
 from sqlalchemy import (
     Connection,
+    Integer,
     Label,
     Select,
-    String,
     bindparam,
-    cast,
+    case,
     exists,
     func,
     or_,
@@ -30,9 +29,8 @@ from sqlalchemy import (
 )
 
 from brink.server.db.models import CampaignRow, JobRow
-from brink.server.db.sql import LAST_TURN, constant, database_now, in_list
-from brink.server.db.statements import Statement
-from brink.server.db.types import UtcDateTime
+from brink.server.db.sql import LAST_TURN, constant, database_now, driver_time, in_list, transaction_time
+from brink.server.db.statements import BulkUpdate, Statement, Values, is_pipelined, read, write
 from brink.server.queue import lease_policy
 from brink.server.queue.job_store import IS_EVALUATION, IS_LEASED
 from brink.server.queue.lease_policy import NEW_TURN, Backlog, CampaignTurn, LeaseDemand, QueuedJob, Retry
@@ -61,12 +59,11 @@ _TWIN_RUNS = exists(
     )
     .offset(0)  # forces one lookup for each job: a join would first collect all running jobs
 )
-_NOW = bindparam("now", type_=UtcDateTime())
+_NOW = transaction_time("now")
 _DUE = or_(JobRow.not_before.is_(None), JobRow.not_before <= _NOW)
 _ELIGIBLE = (_IS_QUEUED, in_list(JobRow.needs, "capabilities"), _DUE, ~(JobRow.cache & _TWIN_RUNS))
 """A worker with these capabilities could run the job now, and no worker is running the same simulation."""
 
-_OWNER = CampaignRow.__table__.alias("owner")
 _GRANTED = (
     JobRow.id,
     JobRow.campaign_id,
@@ -77,10 +74,6 @@ _GRANTED = (
     JobRow.attempt,
     JobRow.timeout_s,
     JobRow.cache,
-    select(_OWNER.c.generation_end)
-    .where(_OWNER.c.id == JobRow.campaign_id)
-    .scalar_subquery()
-    .label("generation_end"),
 )
 _HELD_ATTEMPTS = Statement(
     text(  # without statistics, SQLite would read all leases
@@ -105,7 +98,9 @@ _DUE_RETRY = (
     )
     .order_by(JobRow.not_before)
 )
-_DUE_RETRIES = select(func.count()).select_from(_DUE_RETRY.limit(bindparam("most")).subquery())
+_DUE_RETRIES = Statement(
+    select(func.count().label("jobs")).select_from(_DUE_RETRY.limit(bindparam("most")).subquery())
+)
 _WORK = (
     select(JobRow.id)
     .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
@@ -142,9 +137,10 @@ _OTHERS = (
 )
 _TRIED = exists(
     select(JobRow.id).where(IS_LEASED, JobRow.attempt > constant(1), in_list(JobRow.lease_worker, "workers"))
-).label("tried")
+)
 _BACKLOG = Statement(
-    select(_count(_WORK), *_OTHERS, _TRIED), postgres=select(_count(_WORK_BY_CAMPAIGN), *_OTHERS, _TRIED)
+    select(_count(_WORK), *_OTHERS),
+    postgres=select(_count(_WORK_BY_CAMPAIGN), *_OTHERS, _TRIED.label("tried"), _NOW.label("now")),
 )
 _FRESH = select(*_GRANTED).where(*_ELIGIBLE, _IS_FRESH)
 _FRESH_TRACES = _FRESH.where(_IS_TRACE).order_by(JobRow.id).limit(bindparam("most"))
@@ -154,7 +150,7 @@ _FRESH_WORK = (
     .limit(bindparam("most"))
 )
 _RETRY = (
-    select(*_GRANTED, CampaignRow.priority)
+    select(*_GRANTED, CampaignRow.priority, CampaignRow.generation_end)
     .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
     .where(
         *_ELIGIBLE,
@@ -170,7 +166,9 @@ _RETRY = (
     .limit(1)
 )
 _CAMPAIGNS_IN_TURN = (
-    select(CampaignRow.id, CampaignRow.priority, CampaignRow.turn, CampaignRow.served)
+    select(
+        CampaignRow.id, CampaignRow.priority, CampaignRow.turn, CampaignRow.served, CampaignRow.generation_end
+    )
     .where(
         _IS_RUNNING,
         exists(
@@ -182,34 +180,44 @@ _CAMPAIGNS_IN_TURN = (
     )
     .order_by(CampaignRow.priority.desc(), CampaignRow.turn, CampaignRow.id)
 )
-_READ_RETRY, _READ_TRACES, _READ_TURNS = map(Statement, (_RETRY, _FRESH_TRACES, _CAMPAIGNS_IN_TURN))
-_LOCK_RETRY, _LOCK_TRACES, _LOCK_FRESH = (
-    # Except those that another coordinator is granting. SQLite has no row locks and ignores the clause.
-    Statement(query.with_for_update(of=JobRow, skip_locked=True))
-    for query in (_RETRY, _FRESH_TRACES, _FRESH_WORK)
-)
-_GRANT = Statement(
-    update(JobRow)
-    .where(in_list(JobRow.id, "jobs"))
-    .values(
-        status=JobStatus.LEASED,
-        attempt=JobRow.attempt + 1,
-        lease_token=bindparam("grant", type_=String) + cast(JobRow.id, String),
-        lease_worker=bindparam("holder"),
-        lease_expires_at=bindparam("expires"),
-        lost_token=None,
-        interrupted=False,
-        not_before=None,
+_QUEUE_IS_LONG = _count(_WORK_BY_CAMPAIGN).element >= bindparam("enough")
+_NEXT_WORK = (
+    _FRESH.where(
+        IS_EVALUATION,
+        JobRow.campaign_id
+        == _CAMPAIGNS_IN_TURN.with_only_columns(CampaignRow.id).limit(constant(1)).scalar_subquery(),
     )
-)
-_HELD = (
-    select(JobRow.id, JobRow.status, JobRow.lease_token)
-    # By id alone: with a condition on the status, Postgres may scan all leased jobs instead.
-    .where(in_list(JobRow.id, "jobs"))
     .order_by(JobRow.id)
-    .with_for_update(of=JobRow)
+    .limit(case((_QUEUE_IS_LONG, bindparam("most", type_=Integer)), else_=bindparam("least", type_=Integer)))
 )
-_RENEW = (
+"""The first fresh jobs of the first campaign in turn: on Postgres, they are read together with everything else."""
+
+
+def _locking(query: Select[*tuple[Any, ...]]) -> Statement:
+    """Return a query that locks its jobs on Postgres, skipping those that another coordinator is granting."""
+    return Statement(query, postgres=query.with_for_update(of=JobRow, skip_locked=True))
+
+
+_READ_RETRY, _LOCK_RETRY = Statement(_RETRY), _locking(_RETRY)
+_READ_TRACES, _LOCK_TRACES = Statement(_FRESH_TRACES), _locking(_FRESH_TRACES)
+_LOCK_FRESH, _LOCK_NEXT = _locking(_FRESH_WORK), _locking(_NEXT_WORK)
+_READ_TURNS = Statement(_CAMPAIGNS_IN_TURN)
+_GRANT = BulkUpdate(
+    JobRow.id,
+    [JobRow.lease_token, JobRow.lease_worker],
+    status=JobStatus.LEASED,
+    attempt=JobRow.attempt + 1,
+    lease_expires_at=bindparam("expires"),
+    lost_token=None,
+    interrupted=False,
+    not_before=None,
+)
+_HELD_JOBS = select(JobRow.id, JobRow.status, JobRow.lease_token, _NOW.label("now")).where(
+    # By id alone: with a condition on the status, Postgres may scan all leased jobs instead.
+    in_list(JobRow.id, "jobs")
+)
+_HELD = Statement(_HELD_JOBS, postgres=_HELD_JOBS.order_by(JobRow.id).with_for_update(of=JobRow))
+_RENEW = Statement(
     update(JobRow)
     .where(in_list(JobRow.id, "jobs"))
     .values(lease_expires_at=bindparam("until"), interrupted=False)
@@ -237,52 +245,110 @@ class Grants:
         busy: The campaigns whose current generations have some of these jobs.
     """
 
-    jobs: Sequence[list[LeasedJob]] = ()
-    busy: frozenset[str] = frozenset()
+    jobs: Sequence[list[LeasedJob]]
+    busy: frozenset[str]
 
 
-def lease_together(connection: Connection, demands: Sequence[LeaseDemand], now: datetime) -> Grants:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Look:
+    """A snapshot of the queue for the demands of one commit.
+
+    On Postgres, it is read in one round trip, with the jobs that will most likely be granted. SQLite reads these when
+    they are needed.
+
+    Attributes:
+        backlog: A summary.
+        is_plain: Whether only fresh evaluations are queued for these workers, and none of them holds a retry.
+        now: The database's time.
+        capabilities: Those of the first demand.
+        turns: The campaigns in turn for them; None if they were not read.
+        next_jobs: The first fresh jobs of the first of these campaigns.
+        limit: The maximum number of `next_jobs`: if there are fewer, the campaign has no more.
+    """
+
+    backlog: Backlog
+    is_plain: bool
+    now: datetime
+    capabilities: tuple[str, ...]
+    turns: Sequence[CampaignTurn] | None = None
+    next_jobs: Sequence[QueuedJob] = ()
+    limit: int = 0
+
+
+def look_queries(demands: Sequence[LeaseDemand]) -> list[tuple[Statement, Values]]:
+    """Return the queries whose rows `found_look` takes, on Postgres."""
+    first = {"capabilities": demands[0].capabilities, "enough": _enough(demands)}
+    most = sum(demand.max_jobs for demand in demands)
+    return [
+        (_BACKLOG, _about(demands)),
+        (_READ_TURNS, first),
+        (_LOCK_NEXT, {**first, "most": most, "least": len(demands)}),
+    ]
+
+
+def found_look(demands: Sequence[LeaseDemand], rows: Sequence[Sequence[Any]]) -> Look:
+    """Return the snapshot from the rows of `look_queries`."""
+    (summary,), turns, jobs = rows
+    is_long = summary.jobs >= _enough(demands)
+    return Look(
+        backlog=_backlog(summary),
+        is_plain=not (summary.traces or summary.retries or summary.tried),
+        now=driver_time(summary.now),
+        capabilities=demands[0].capabilities,
+        turns=[CampaignTurn(*row) for row in turns],
+        next_jobs=jobs,
+        limit=sum(demand.max_jobs for demand in demands) if is_long else len(demands),
+    )
+
+
+def lease_together(
+    connection: Connection, demands: Sequence[LeaseDemand], look: Look | None = None
+) -> Grants:
     """Grant jobs to several workers as if they asked one after another, but read fresh jobs only once.
 
     Args:
         connection: In a write transaction.
         demands: The workers' demands, in order.
-        now: The database's time.
+        look: The queue as it is now, if known.
     """
     if not demands:
-        return Grants()
-    backlog, tried = _backlog(connection, demands, now)
-    if len(demands) > 1 and (backlog.retries or backlog.traces):
-        alone = [lease_together(connection, [demand], now) for demand in demands]
+        return Grants(jobs=(), busy=frozenset())
+    if look is None:
+        look = _look(connection, demands)
+    if len(demands) > 1 and (look.backlog.retries or look.backlog.traces):
+        alone = [lease_together(connection, [demand]) for demand in demands]
         return Grants(
             jobs=[grants.jobs[0] for grants in alone],
             busy=frozenset().union(*(grants.busy for grants in alone)),
         )
-    held = _held_attempts(connection, demands) if backlog.retries or tried else {}
-    assignment = lease_policy.assign_jobs(demands, backlog, held, _View(connection, now))
-    granted = _grant(connection, demands, assignment.jobs, now)
+    held = {} if look.is_plain else _held_attempts(connection, demands)
+    view = _View(connection, look)
+    assignment = lease_policy.assign_jobs(demands, look.backlog, held, view)
+    granted = _grant(connection, demands, assignment.jobs, look.now)
     _write_turns(connection, assignment.turns)
-    return Grants(jobs=granted, busy=_busy(itertools.chain.from_iterable(assignment.jobs)))
+    return Grants(jobs=granted, busy=view.busy_among(itertools.chain.from_iterable(assignment.jobs)))
 
 
 def count_due_retries(connection: Connection, capabilities: Iterable[str]) -> int:
     """Count the due retries that these capabilities can run, up to `MOST_WOKEN`."""
-    known = {"now": database_now(connection), "capabilities": sorted(capabilities), "most": MOST_WOKEN}
-    return connection.execute(_DUE_RETRIES, known).scalar_one()
+    known = {"now": datetime.now(UTC), "capabilities": sorted(capabilities), "most": MOST_WOKEN}
+    jobs: int = read(connection, (_DUE_RETRIES, known))[0][0].jobs
+    return jobs
 
 
 def renew(connection: Connection, leases: Iterable[HeldLease], lease_s: float) -> list[int]:
     """Renew leases; return the ids of the jobs that are still held, ascending."""
     wanted = {held.job: held.token for held in leases}
+    (rows,) = read(connection, (_HELD, {"jobs": sorted(wanted), "now": datetime.now(UTC)}))
     held = [
-        row.id
-        for row in connection.execute(_HELD, {"jobs": sorted(wanted)})
+        row
+        for row in rows
         if row.status == JobStatus.LEASED and secrets.compare_digest(row.lease_token, wanted[row.id])
     ]
     if held:
-        until = database_now(connection) + timedelta(seconds=lease_s)
-        connection.execute(_RENEW, {"jobs": held, "until": until})
-    return held
+        until = driver_time(held[0].now) + timedelta(seconds=lease_s)
+        write(connection, _RENEW, {"jobs": [row.id for row in held], "until": until})
+    return sorted(row.id for row in held)
 
 
 def release(connection: Connection, leases: Iterable[HeldLease]) -> int:
@@ -317,68 +383,96 @@ def end_now(connection: Connection, leases: Iterable[HeldLease]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """A `lease_policy.QueueView` of a write transaction; its jobs are database rows."""
+    """A `lease_policy.QueueView` of a write transaction; its jobs are database rows.
+
+    Attributes:
+        ends: The `CampaignTurn.generation_end` of each campaign whose jobs were found.
+    """
 
     connection: Connection
-    now: datetime
+    look: Look
+    ends: dict[str, int | None] = field(default_factory=dict)
 
     def first_retry(self, demand: LeaseDemand) -> Retry | None:
-        rows = self._retry(_READ_RETRY, demand)
-        return typing.cast(Retry, rows[0]) if rows else None
+        rows = self._read(_READ_RETRY, self._retry(demand))
+        return cast(Retry, rows[0]) if rows else None
 
     def has_trace(self, capabilities: tuple[str, ...]) -> bool:
-        return bool(self._read(_READ_TRACES, capabilities=capabilities, most=1))
+        return bool(self._read(_READ_TRACES, {"capabilities": capabilities, "most": 1}))
 
     def top_priority(self, capabilities: tuple[str, ...]) -> int | None:
         turns = self.turns(capabilities)
         return turns[0].priority if turns else None
 
     def lock_retry(self, demand: LeaseDemand) -> Sequence[QueuedJob]:
-        return self._retry(_LOCK_RETRY, demand)
+        rows = self._read(_LOCK_RETRY, self._retry(demand))
+        self.ends.update((row.campaign_id, row.generation_end) for row in rows)
+        return rows
 
     def lock_traces(self, capabilities: tuple[str, ...], limit: int) -> Sequence[QueuedJob]:
-        return self._read(_LOCK_TRACES, capabilities=capabilities, most=limit)
+        return self._read(_LOCK_TRACES, {"capabilities": capabilities, "most": limit})
 
     def turns(self, capabilities: tuple[str, ...]) -> Sequence[CampaignTurn]:
-        return [CampaignTurn(*row) for row in self._read(_READ_TURNS, capabilities=capabilities)]
+        turns = self.look.turns
+        if turns is None or capabilities != self.look.capabilities:
+            turns = [CampaignTurn(*row) for row in self._read(_READ_TURNS, {"capabilities": capabilities})]
+        self.ends.update((one.campaign, one.generation_end) for one in turns)
+        return turns
 
     def lock_fresh(
         self, campaign: str, capabilities: tuple[str, ...], *, after: int, limit: int
     ) -> Sequence[QueuedJob]:
-        return self._read(_LOCK_FRESH, campaign=campaign, capabilities=capabilities, after=after, most=limit)
+        known = [
+            job
+            for job in self.look.next_jobs
+            if capabilities == self.look.capabilities and job.campaign_id == campaign and job.id > after
+        ]
+        is_all = bool(known) and len(self.look.next_jobs) < self.look.limit
+        if is_all or len(known) >= limit:
+            return known[:limit]
+        after = known[-1].id if known else after
+        asked = {
+            "capabilities": capabilities,
+            "campaign": campaign,
+            "after": after,
+            "most": limit - len(known),
+        }
+        return [*known, *self._read(_LOCK_FRESH, asked)]
 
-    def _retry(self, query: Statement, demand: LeaseDemand) -> Sequence[Any]:
-        return self._read(
-            query,
-            capabilities=demand.capabilities,
-            worker=demand.worker,
-            elsewhere=list(demand.terms.elsewhere),
-        )
+    def busy_among(self, jobs: Iterable[QueuedJob]) -> frozenset[str]:
+        """Return the campaigns whose current generations have some of these jobs."""
+        busy = set()
+        for job in jobs:
+            end = self.ends.get(job.campaign_id)
+            if job.kind != JobKind.TRACE and (end is None or cast(Any, job).number < end):
+                busy.add(job.campaign_id)
+        return frozenset(busy)
 
-    def _read(self, query: Statement, **values: object) -> Sequence[Any]:
-        return query.run(self.connection, **values, now=self.now)
+    def _retry(self, demand: LeaseDemand) -> dict[str, Any]:
+        return {
+            "capabilities": demand.capabilities,
+            "worker": demand.worker,
+            "elsewhere": list(demand.terms.elsewhere),
+        }
+
+    def _read(self, query: Statement, values: Values) -> list[Any]:
+        return read(self.connection, (query, {**values, "now": self.look.now}))[0]
 
 
-def _busy(jobs: Iterable[Any]) -> frozenset[str]:
-    """Return the campaigns whose current generations have some of these jobs."""
-    return frozenset(
-        job.campaign_id
-        for job in jobs
-        if job.kind != JobKind.TRACE and (job.generation_end is None or job.number < job.generation_end)
-    )
+def _look(connection: Connection, demands: Sequence[LeaseDemand]) -> Look:
+    if is_pipelined(connection):
+        return found_look(demands, read(connection, *look_queries(demands)))
+    now = datetime.now(UTC)
+    (summary,) = read(connection, (_BACKLOG, {**_about(demands), "now": now}))[0]
+    return Look(backlog=_backlog(summary), is_plain=False, now=now, capabilities=demands[0].capabilities)
 
 
-def _backlog(connection: Connection, demands: Sequence[LeaseDemand], now: datetime) -> tuple[Backlog, bool]:
-    """Return a summary of the queue, and whether one of the workers holds a job that was tried before."""
-    about = {
-        "workers": [demand.worker for demand in demands],
+def _about(demands: Sequence[LeaseDemand]) -> dict[str, Any]:
+    return {
         "enough": _enough(demands),
+        "workers": [demand.worker for demand in demands],
         "capabilities": sorted({name for demand in demands for name in demand.capabilities}),
-        "now": now,
     }
-    (row,) = _BACKLOG.run(connection, **about)
-    backlog = Backlog(jobs=row.jobs, traces=bool(row.traces), retries=bool(row.retries))
-    return backlog, bool(row.tried)
 
 
 def _enough(demands: Sequence[LeaseDemand]) -> int:
@@ -386,13 +480,17 @@ def _enough(demands: Sequence[LeaseDemand]) -> int:
     return max(map(lease_policy.enough_jobs, demands)) + sum(demand.max_jobs for demand in demands[1:])
 
 
+def _backlog(summary: Any) -> Backlog:
+    return Backlog(jobs=summary.jobs, traces=bool(summary.traces), retries=bool(summary.retries))
+
+
 def _held_attempts(connection: Connection, demands: Sequence[LeaseDemand]) -> dict[str, list[int]]:
     """Return the attempt numbers of the jobs that workers hold."""
     workers = [demand.worker for demand in demands]
-    given = json.dumps(workers) if connection.dialect.name == "sqlite" else workers
+    given = workers if is_pipelined(connection) else json.dumps(workers)
     attempts: dict[str, list[int]] = {}
-    for row in _HELD_ATTEMPTS.run(connection, workers=given):
-        attempts.setdefault(row.lease_worker, []).append(row.attempt)
+    for one in read(connection, (_HELD_ATTEMPTS, {"workers": given}))[0]:
+        attempts.setdefault(one.lease_worker, []).append(one.attempt)
     return attempts
 
 
@@ -403,31 +501,29 @@ def _grant(
     now: datetime,
 ) -> list[list[LeasedJob]]:
     granted: list[list[LeasedJob]] = []
+    values: dict[float, list[tuple[int, str, str]]] = {}
     for demand, rows in zip(demands, assigned, strict=True):
-        grant = f"{secrets.token_hex(16)}-"
-        if rows:
-            values = {
-                "jobs": [row.id for row in rows],
-                "grant": grant,
-                "holder": demand.worker,
-                "expires": now + timedelta(seconds=demand.terms.lease_s),
-            }
-            _GRANT.run(connection, **values)
-        granted.append([_leased(row, grant) for row in rows])
+        jobs = [_leased(row) for row in rows]
+        granted.append(jobs)
+        values.setdefault(demand.terms.lease_s, []).extend(
+            (job.job, job.token, demand.worker) for job in jobs
+        )
+    for lease_s, rows_of in values.items():
+        _GRANT.run(connection, rows_of, {"expires": now + timedelta(seconds=lease_s)})
     return granted
 
 
 def _write_turns(connection: Connection, turns: Mapping[str, tuple[int, int]]) -> None:
     for campaign, (turn, served) in sorted(turns.items(), key=lambda item: item[1]):
         statement = _END_TURN if turn > NEW_TURN else _SERVE
-        statement.run(connection, dealt=campaign, count=served)
+        write(connection, statement, {"dealt": campaign, "count": served})
 
 
-def _leased(job: QueuedJob, grant: str) -> LeasedJob:
-    row = typing.cast(Any, job)
+def _leased(job: QueuedJob) -> LeasedJob:
+    row = cast(Any, job)
     return LeasedJob(
         job=row.id,
-        token=f"{grant}{row.id}",
+        token=secrets.token_hex(16),
         attempt=row.attempt + 1,
         spec=json.loads(row.spec),
         record=row.kind == JobKind.TRACE,

@@ -6,12 +6,13 @@ so that coordinators which share a database share it too.
 """
 
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 
 from sqlalchemy import Connection, bindparam, false, insert, select, update
 
 from brink.server.db.models import JobRow, SweepRow
-from brink.server.db.sql import database_now, in_list
+from brink.server.db.sql import database_now, driver_time, in_list, lock_rows, transaction_time
+from brink.server.db.statements import Statement, read, write
 from brink.server.queue.job_store import IS_LEASED
 
 GAP_LEASES = 0.5
@@ -21,14 +22,15 @@ GAP_SWEEPS = 2
 NOTED_LEASES = 0.1
 """Interval at which sweeps are noted, in terms of a lease: an idle coordinator hardly ever writes to the disk."""
 
-_LAST_SWEEP = select(SweepRow.swept_at)
-# Skipped, not waited for, if locked: two coordinators with other writes in their transactions could deadlock.
-_LOCK_LAST_SWEEP = _LAST_SWEEP.with_for_update(of=SweepRow, skip_locked=True)
-_SHORT = (
-    select(JobRow.id)
-    .where(IS_LEASED, JobRow.lease_expires_at < bindparam("until"))
-    .with_for_update(of=JobRow, skip_locked=True)
+_LAST_SWEEP = select(SweepRow.swept_at, transaction_time("now").label("now"))
+_READ_LAST = Statement(_LAST_SWEEP)
+_LOCK_LAST = Statement(
+    _LAST_SWEEP,
+    # Skipped, not waited for, if locked: two coordinators with other writes in their transactions could deadlock.
+    postgres=_LAST_SWEEP.with_for_update(of=SweepRow, skip_locked=True),
 )
+_NOTE_SWEEP = Statement(update(SweepRow).values(swept_at=bindparam("now")))
+_SHORT = select(JobRow.id).where(IS_LEASED, JobRow.lease_expires_at < bindparam("until"))
 _NOT_YET_EXTENDED = _SHORT.where(JobRow.interrupted == false())
 _EXTEND = (
     update(JobRow)
@@ -66,13 +68,14 @@ def begin_sweep(connection: Connection, *, lease_s: float, sweep_s: float, resum
     Returns:
         None if another coordinator is sweeping: no lease may be taken back before it has committed.
     """
-    now, away_s = database_now(connection), None
-    swept_at = connection.execute(_LOCK_LAST_SWEEP).scalar_one_or_none()
-    if swept_at is not None:
-        away_s = (now - swept_at).total_seconds()
-    elif connection.execute(_LAST_SWEEP).first() is not None:
+    asked = {"now": datetime.now(UTC)}
+    if rows := read(connection, (_LOCK_LAST, asked))[0]:
+        now = driver_time(rows[0].now)
+        away_s = (now - driver_time(rows[0].swept_at)).total_seconds()
+    elif read(connection, (_READ_LAST, asked))[0]:
         return None
     else:
+        now, away_s = database_now(connection), None
         connection.execute(insert(SweepRow).values(id=1, swept_at=now))
     is_gap = away_s is None or away_s > max(GAP_LEASES * lease_s, GAP_SWEEPS * sweep_s)
     extended = 0
@@ -80,13 +83,14 @@ def begin_sweep(connection: Connection, *, lease_s: float, sweep_s: float, resum
         extended = _extend(connection, now + timedelta(seconds=lease_s), again=is_gap)
     # A negative time means that the clock was put back.
     if resuming or (away_s is not None and not 0 <= away_s <= NOTED_LEASES * lease_s):
-        connection.execute(update(SweepRow).values(swept_at=now))
+        write(connection, _NOTE_SWEEP, {"now": now})
     return Sweep(away_s=away_s, extended=extended)
 
 
 def _extend(connection: Connection, until: datetime, *, again: bool) -> int:
-    """Extend the leases that end earlier; those that are locked are just being renewed or ended."""
-    jobs = list(connection.execute(_SHORT if again else _NOT_YET_EXTENDED, {"until": until}).scalars())
+    """Extend the leases that end earlier, skipping locked ones, which are just being renewed or ended."""
+    short = lock_rows(_SHORT if again else _NOT_YET_EXTENDED, connection, JobRow, skip_locked=True)
+    jobs = list(connection.execute(short, {"until": until}).scalars())
     if jobs:
         connection.execute(_EXTEND, {"jobs": jobs, "until": until})
     return len(jobs)

@@ -6,29 +6,16 @@ out until the job is granted again.
 """
 
 import secrets
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Any, Final, Protocol, TypeAlias
 
-from sqlalchemy import (
-    BigInteger,
-    Connection,
-    Text,
-    bindparam,
-    case,
-    column,
-    exists,
-    func,
-    insert,
-    select,
-    update,
-)
-from sqlalchemy.dialects.postgresql import ARRAY
+from sqlalchemy import Connection, bindparam, case, exists, insert, select, update
 
 from brink.server.db.models import JobRow, TraceRow
-from brink.server.db.sql import database_now, in_list, storable
-from brink.server.db.statements import Statement
+from brink.server.db.sql import driver_time, in_list, storable, transaction_time
+from brink.server.db.statements import BulkUpdate, Statement, Values, read
 from brink.server.queue.job_store import IS_LEASED, idle_campaigns
 from brink.server.queue.lease_policy import LeaseTerms
 from brink.server.states import JobStatus
@@ -56,43 +43,36 @@ _HAS_TWINS = exists(
     )
     .offset(0)  # forces one lookup for each job: Postgres might otherwise collect all queued jobs first
 )
+_REPORTED_JOBS = select(
+    JobRow.id,
+    JobRow.campaign_id,
+    JobRow.kind,
+    JobRow.status,
+    JobRow.lease_token,
+    JobRow.lost_token,
+    JobRow.lease_worker,
+    JobRow.attempt,
+    JobRow.max_attempts,
+    JobRow.losses,
+    JobRow.spec_hash,
+    JobRow.cache,
+    _HAS_TWINS.label("has_twins"),
+    transaction_time("now").label("now"),
+).where(in_list(JobRow.id, "jobs"))
 _REPORTED = Statement(
-    select(
-        JobRow.id,
-        JobRow.campaign_id,
-        JobRow.kind,
-        JobRow.status,
-        JobRow.lease_token,
-        JobRow.lost_token,
-        JobRow.lease_worker,
-        JobRow.attempt,
-        JobRow.max_attempts,
-        JobRow.losses,
-        JobRow.spec_hash,
-        JobRow.cache,
-        _HAS_TWINS.label("has_twins"),
-    )
-    .where(in_list(JobRow.id, "jobs"))
-    .order_by(JobRow.id)  # rows locked in one order: no deadlocks
-    .with_for_update(of=JobRow)
+    _REPORTED_JOBS,
+    # Locking rows in the order of their ids prevents deadlocks.
+    postgres=_REPORTED_JOBS.order_by(JobRow.id).with_for_update(of=JobRow),
 )
-_DONE: dict[str, Any] = {"status": JobStatus.DONE, "finished_at": bindparam("now"), "lease_expires_at": None}
-_FINISH = update(JobRow).where(JobRow.id == bindparam("job")).values(result=bindparam("outcome"), **_DONE)
-_GIVEN = (
-    func.unnest(bindparam("jobs", type_=ARRAY(BigInteger)), bindparam("outcomes", type_=ARRAY(Text)))
-    .table_valued(column("id", BigInteger), column("result", Text))
-    .render_derived(name="given")
+_FINISH = BulkUpdate(
+    JobRow.id, [JobRow.result], status=JobStatus.DONE, finished_at=bindparam("now"), lease_expires_at=None
 )
-_FINISH_TOGETHER = Statement(
-    update(JobRow).where(JobRow.id == _GIVEN.c.id).values(result=_GIVEN.c.result, **_DONE)
-)
-"""For Postgres, which takes much longer to update jobs one by one."""
 _TWINS = (
     select(JobRow.id, JobRow.spec_hash, JobRow.kind, JobRow.campaign_id)
     .where(in_list(JobRow.spec_hash, "spec_hashes"), JobRow.status == JobStatus.QUEUED, JobRow.cache)
     .order_by(JobRow.id)
 )
-_EXPIRED = (
+_EXPIRED_JOBS = (
     select(
         JobRow.id,
         JobRow.campaign_id,
@@ -101,12 +81,13 @@ _EXPIRED = (
         JobRow.max_losses,
         JobRow.lease_worker,
         JobRow.interrupted,
+        transaction_time("now").label("now"),
     )
-    .where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))
+    .where(IS_LEASED, JobRow.lease_expires_at < transaction_time("now"))
     .order_by(JobRow.lease_expires_at)
     .limit(bindparam("most"))
-    .with_for_update(of=JobRow, skip_locked=True)
 )
+_EXPIRED = Statement(_EXPIRED_JOBS, postgres=_EXPIRED_JOBS.with_for_update(of=JobRow, skip_locked=True))
 _LOSE = (
     update(JobRow)
     .where(in_list(JobRow.id, "jobs"))
@@ -249,6 +230,7 @@ class Report:
         campaigns: The campaigns that have no open evaluation left.
         owners: The campaign of each known job.
         quarantined: The final attempts at jobs that went into quarantine.
+        changes_queue: Whether anything but the accepted jobs may have changed, or these went back to the queue.
         unjudged: What `ResultCheck.judge` is to tell of, by job; of several results of a job, any. These outcomes
             changed nothing.
     """
@@ -257,6 +239,7 @@ class Report:
     campaigns: tuple[str, ...]
     owners: Mapping[int, str] = field(default_factory=dict)
     quarantined: tuple[FailedAttempt, ...] = ()
+    changes_queue: bool = False
     unjudged: Mapping[int, UnjudgedResult] = field(default_factory=dict)
 
 
@@ -275,10 +258,15 @@ class Expiry:
     interrupted: Sequence[FailedAttempt] = ()
 
 
+def reported_query(outcomes: Sequence[Outcome]) -> tuple[Statement, Values]:
+    """Return the query for the reported jobs, which locks them until the transaction ends."""
+    return _REPORTED, {"jobs": sorted({outcome.job for outcome in outcomes}), "now": datetime.now(UTC)}
+
+
 def store_outcomes(
     connection: Connection,
     outcomes: Sequence[Outcome],
-    now: datetime,
+    found: Sequence[JobRecord],
     retry_backoff_s: float,
     check: ResultCheck | None = None,
 ) -> Report:
@@ -287,23 +275,26 @@ def store_outcomes(
     Args:
         connection: In a write transaction.
         outcomes: What workers report.
-        now: The database's time.
+        found: The rows of `reported_query`.
         retry_backoff_s: Delay before the first retry; doubles with each attempt.
         check: Refuses results that are of no use; their attempts have failed. None to store all results.
 
     Returns:
         The report, with the campaigns of all accepted outcomes, idle or not.
     """
-    if not outcomes:
-        return Report(statuses=(), campaigns=())
-    rows = _lock_reported(connection, {outcome.job for outcome in outcomes})
-    rows |= _restore_lost(connection, rows, outcomes, now)
+    if not found:
+        return Report(statuses=tuple("stale" for _ in outcomes), campaigns=())
+    now = driver_time(found[0].now)
+    rows: dict[int, JobRecord] = {row.id: row for row in found}
+    restored = _restore_lost(connection, rows, outcomes, now)
+    rows |= restored
     statuses, accepted, unjudged = _judge(rows, outcomes, check)
     done = {job: outcome.result for job, outcome in accepted.items() if outcome.result is not None}
     _finish(connection, done, now)
     _keep_traces(connection, {rows[o.job].spec_hash: o.trace for o in accepted.values() if o.trace}, now)
-    twinned = [rows[job] for job in done if rows[job].cache and rows[job].has_twins]
-    sharing = _share(connection, twinned, done, now)
+    sharing = _share(
+        connection, [rows[job] for job in done if rows[job].cache and rows[job].has_twins], done, now
+    )
     failed = _fail(
         connection,
         [_failure(rows[job], o) for job, o in accepted.items() if o.result is None],
@@ -316,6 +307,7 @@ def store_outcomes(
         campaigns=tuple(sorted(touched)),
         owners={job: row.campaign_id for job, row in rows.items()},
         quarantined=tuple(attempt for attempt in failed if attempt.final),
+        changes_queue=bool(restored or failed) or any(rows[job].has_twins for job in accepted),
         unjudged=unjudged,
     )
 
@@ -357,10 +349,10 @@ def expire(connection: Connection, terms: LeaseTerms) -> Expiry:
     Those that an outage interrupted count as given back. The others are lost: their jobs are retried later, or put
     into quarantine after too many losses.
     """
-    now = database_now(connection)
-    rows = connection.execute(_EXPIRED, {"now": now, "most": MAX_EXPIRED}).all()
+    (rows,) = read(connection, (_EXPIRED, {"now": datetime.now(UTC), "most": MAX_EXPIRED}))
     if not rows:
         return Expiry()
+    now = driver_time(rows[0].now)
     interrupted = [row for row in rows if row.interrupted]
     lost = [row for row in rows if not row.interrupted]
     failed = _fail(connection, [_loss(row) for row in lost], now, terms.retry_backoff_s)
@@ -373,11 +365,6 @@ def expire(connection: Connection, terms: LeaseTerms) -> Expiry:
         lost=failed,
         interrupted=[_interruption(row) for row in interrupted],
     )
-
-
-def _lock_reported(connection: Connection, jobs: Iterable[int]) -> dict[int, JobRecord]:
-    """Return jobs by id, and lock them until the transaction ends; those that are gone are left out."""
-    return {row.id: row for row in _REPORTED.run(connection, jobs=sorted(jobs))}
 
 
 def _restore_lost(
@@ -398,8 +385,9 @@ def _restore_lost(
     }
     if not late:
         return {}
-    connection.execute(_RESTORE, {"jobs": sorted(late), "now": now})
-    return _lock_reported(connection, late)
+    known = {"jobs": sorted(late), "now": now}
+    connection.execute(_RESTORE, known)
+    return {row.id: row for row in read(connection, (_REPORTED, known))[0]}
 
 
 def _status_of(row: JobRecord | None, outcome: Outcome, reported_before: bool) -> str:
@@ -420,14 +408,7 @@ def _judgement(row: JobRecord, outcome: Outcome, check: ResultCheck | None) -> J
 
 
 def _finish(connection: Connection, done: Mapping[int, str], now: datetime) -> None:
-    if not done:
-        return
-    if connection.dialect.name == "postgresql":
-        _FINISH_TOGETHER.run(connection, jobs=list(done), outcomes=list(done.values()), now=now)
-    else:
-        connection.execute(
-            _FINISH, [{"job": job, "outcome": result, "now": now} for job, result in done.items()]
-        )
+    _FINISH.run(connection, list(done.items()), {"now": now})
 
 
 def _keep_traces(connection: Connection, traces: Mapping[str, bytes], now: datetime) -> None:

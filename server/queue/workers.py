@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 from sqlalchemy import Connection, bindparam, case, delete, exists, func, insert, select, update
 
 from brink.server.db.models import JobRow, WorkerRow
-from brink.server.db.sql import database_now, in_list
+from brink.server.db.sql import database_now, in_list, lock_rows
+from brink.server.db.statements import Statement, read
 from brink.server.queue.job_store import IS_LEASED
 from brink.worker.wire import HeldLease, WorkerIdentity, machine_name
 
@@ -17,7 +18,9 @@ _LIVE = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid, WorkerRow.capabil
     WorkerRow.last_seen_at >= bindparam("horizon"), WorkerRow.drained_at.is_(None)
 )
 """Built once, because every open page runs it every few seconds."""
-_DRAINING = select(WorkerRow.id, WorkerRow.pid, WorkerRow.machine).where(WorkerRow.drained_at.is_not(None))
+_DRAINING = Statement(
+    select(WorkerRow.id, WorkerRow.pid, WorkerRow.machine).where(WorkerRow.drained_at.is_not(None))
+)
 _PROCESSES = select(WorkerRow.id, WorkerRow.pid, WorkerRow.machine, WorkerRow.last_seen_at).where(
     in_list(WorkerRow.id, "names")
 )
@@ -158,7 +161,7 @@ def drain(connection: Connection, worker_id: str) -> Process | None:
 
 def read_draining(connection: Connection) -> dict[str, Process]:
     """Return the workers that were asked to finish their jobs and exit, by id."""
-    return {row.id: Process(row.pid, row.machine) for row in connection.execute(_DRAINING)}
+    return {row.id: Process(row.pid, row.machine) for row in read(connection, (_DRAINING, {}))[0]}
 
 
 def list_workers(connection: Connection, *, within_s: float | None = None) -> list[WorkerStatus]:
@@ -251,12 +254,10 @@ def process_is_gone(machine: str, pid: int) -> bool:
 def forget_absent(connection: Connection, after_s: float) -> int:
     """Delete workers that hold no lease and have made no contact for a given time; return how many."""
     holding = exists(select(JobRow.id).where(IS_LEASED, JobRow.lease_worker == WorkerRow.id))
-    absent = (
-        select(WorkerRow.id)
-        .where(WorkerRow.last_seen_at < database_now(connection) - timedelta(seconds=after_s), ~holding)
-        .with_for_update(of=WorkerRow, skip_locked=True)
+    absent = select(WorkerRow.id).where(
+        WorkerRow.last_seen_at < database_now(connection) - timedelta(seconds=after_s), ~holding
     )
-    names = list(connection.execute(absent).scalars())
+    names = list(connection.execute(lock_rows(absent, connection, WorkerRow, skip_locked=True)).scalars())
     if names:
         connection.execute(delete(WorkerRow).where(in_list(WorkerRow.id, "names")), {"names": names})
     return len(names)

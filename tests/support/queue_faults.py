@@ -132,7 +132,9 @@ FAULTS = {
         "limit = grant_limit(demand, backlog.jobs)",
     ),
     "a retry is dealt out with the rest": Fault(
-        lease_store, "if len(demands) > 1 and (backlog.retries or backlog.traces):", "if backlog.traces:"
+        lease_store,
+        "if len(demands) > 1 and (look.backlog.retries or look.backlog.traces):",
+        "if look.backlog.traces:",
     ),
     "anybody renews a lease": Fault(
         lease_store, "secrets.compare_digest(row.lease_token, wanted[row.id])", "True"
@@ -166,11 +168,13 @@ FAULTS = {
     ),
     "leases never run out": Fault(
         report_store,
-        'JobRow.lease_expires_at < bindparam("now"))',
+        'JobRow.lease_expires_at < transaction_time("now"))',
         'JobRow.lease_expires_at < datetime.fromisoformat("2000-01-01T00:00:00+00:00"))',
     ),
     "leases run out at once": Fault(
-        report_store, '.where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))', ".where(IS_LEASED)"
+        report_store,
+        '.where(IS_LEASED, JobRow.lease_expires_at < transaction_time("now"))',
+        ".where(IS_LEASED)",
     ),
     "a late report is called stored": Fault(
         report_store,
@@ -202,7 +206,7 @@ FAULTS = {
     ),
     "a retry by hand has no losses": Fault(job_store, "max_losses=JobRow.losses + more_losses,", ""),
     "a late result is not taken": Fault(
-        report_store, "rows |= _restore_lost(connection, rows, outcomes, now)", ""
+        report_store, "restored = _restore_lost(connection, rows, outcomes, now)", "restored = {}"
     ),
     "a late result is taken after quarantine": Fault(
         report_store,

@@ -8,7 +8,7 @@ values the parameters have. A plain EXPLAIN knows the values, and tells of a pla
 import asyncio
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -54,13 +54,13 @@ def statements_of(engine: Engine, run: Callable[[], Any]) -> list[Statement]:
     def keep(connection: Any, cursor: Any, statement: str, parameters: Any, context: Any, many: bool) -> None:
         said.append((statement, parameters[0] if many else parameters))
 
-    def keep_frequent(driver: Any, words: str, parameters: Any) -> Any:
-        said.append((words, parameters))
-        return execute(driver, words, parameters)
+    def keep_together(connection: Any, driver: Any, asked: Sequence[Any], values: Sequence[Any]) -> Any:
+        said.extend((one.text, given) for one, given in zip(asked, values, strict=True))
+        return execute(connection, driver, asked, values)
 
     event.listen(engine, "before_cursor_execute", keep)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(statements, "execute", keep_frequent)
+        patch.setattr(statements, "execute", keep_together)
         try:
             run()
         finally:
