@@ -44,7 +44,7 @@ PROCRASTINATE, CELERY = "procrastinate, Postgres", "Celery, Redis"
 WORKERS = (1, 4, 16)
 BATCHES = (1, 8, 32)
 TARGET_BATCH = 8
-TARGET_RATIO = 5.0
+TARGET_RATIO = 2.0
 TARGET_PICKUP_MS = 10.0
 CAMPAIGN_JOBS = 5000
 """Jobs per campaign. The time of the last generation step, not measured here, grows quadratically with them."""
