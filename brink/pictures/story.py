@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Final, TypeAlias, TypeVar
 
 import numpy as np
@@ -20,6 +21,7 @@ from brink.pictures.scene import (
     spec_part,
 )
 from brink.sim.aeb.specification import describe_perturbations, describe_street
+from brink.sim.catalogue import REQUIREMENTS, is_own_plugin, make_requirement, requirement_ids
 from brink.sim.errors import InvalidEpisode
 from brink.sim.requirements import REQUIRED_GAP_M, CollisionKind, NoDangerousStop
 from brink.sim.trace import ACTION, VIOLATED_AT_S, WORDS, Event, Trace
@@ -29,17 +31,6 @@ from brink.sim.world.scenario import words_of_scenario
 
 PREFERRED: Final = ("front-gap", "no-collision")
 """Requirements that a replay is about if none is named, in order of preference."""
-
-REQUIREMENT_UNITS: Final = {
-    "front-gap": "m",
-    "no-collision": "m",
-    "no-dangerous-stop": "m/s",
-    "lane-keeping": "m",
-    "red-light": "m",
-    "speed-limit": "m/s",
-    "progress": "s",
-}
-"""Units of robustness, by id without version, of the requirements that ship with the project."""
 
 _NO_VEHICLE_M: Final = 48.0
 """A greater margin of the front gap means that no vehicle is ahead."""
@@ -471,7 +462,14 @@ def unit_of(requirement: str) -> str:
     Args:
         requirement: Its id, with or without version.
     """
-    return REQUIREMENT_UNITS.get(plain_name(requirement), "")
+    return _units().get(plain_name(requirement), "")
+
+
+@cache
+def _units() -> Mapping[str, str]:
+    """Return the units of robustness, by id without version, of the requirements that ship with the project."""
+    own = [name for name in requirement_ids() if is_own_plugin(REQUIREMENTS, name)]
+    return {plain_name(name): make_requirement(name).unit for name in own}
 
 
 def with_unit(value: float, requirement: str) -> str:

@@ -3,10 +3,19 @@
 import numpy as np
 import pytest
 
-from brink.sim.catalogue import requirement_ids
+from brink.sim.catalogue import REQUIREMENTS, is_own_plugin, requirement_ids
 from brink.sim.episode import Verdict
 from brink.sim.requirements import CollisionKind
-from brink.sim.verdict import EpisodeVerdict, Impact, clock_words, drives_violate, violated_words
+from brink.sim.verdict import (
+    _HELD,
+    _VIOLATED,
+    EpisodeVerdict,
+    Impact,
+    clock_words,
+    drives_violate,
+    plain_id,
+    violated_words,
+)
 
 SIX = ("front-gap@1", "no-collision@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1")
 
@@ -36,6 +45,12 @@ def test_the_requirements_that_decide_come_first() -> None:
     assert found.unsafe
     assert found.words() == "had a collision at 5.0 s; left the lane at 3.0 s"
     assert [one.decides for one in found.violated] == [True, False]
+
+
+def test_every_requirement_that_ships_has_words_of_its_own() -> None:
+    shipped = {plain_id(name) for name in requirement_ids() if is_own_plugin(REQUIREMENTS, name)}
+    for words in (_HELD, _VIOLATED):
+        assert shipped <= set(words), "add the missing ones in sim/verdict.py"
 
 
 @pytest.mark.parametrize("requirement", requirement_ids())
