@@ -1,6 +1,9 @@
-"""Safety requirements: the protocol, its base class `Margin`, and the eight that ship with Brink.
+"""Safety requirements: the protocol, its base class `Margin`, and those that ship with Brink.
 
-A requirement measures robustness over time: a distance to violation in metres, seconds or metres per second, negative
+To add one, write its class here and list its id in pyproject.toml and docs/reference/problems.md. Its words are in
+`brink.sim.verdict`, `brink.search.analysis.violations` and `brink.pictures.reference`; otherwise, texts use its id.
+
+A requirement measures robustness over time: a distance to violation in units such as metres or seconds, negative
 when violated; zero satisfies. It is created for each episode, observes one `WorldSample` per control step in order of
 time, and gives its verdict at the end: the smallest robustness and the time of the first violation. Robustness is
 always finite: each requirement clips it to its horizon, which is also its value where the requirement does not apply.
@@ -122,7 +125,7 @@ class Requirement(Protocol):
 
     @property
     def unit(self) -> str:
-        """Unit of the robustness: ``m``, ``s`` or ``m/s``."""
+        """Unit of the robustness, such as ``m``, ``s`` or ``m/s²``."""
         ...
 
     @property

@@ -1,4 +1,8 @@
-"""Pairs as tables with one row for each pair: for every renderer, and with all parameters as a file."""
+"""Pairs as tables with one row for each pair: for every renderer, and with all parameters as a file.
+
+`COLUMNS` and `pairs_table` are what the terminal, pages, reports and ``brink findings`` show; `pair_columns` and
+`pair_rows` are the files of ``brink pairs`` and the data frame. A new column belongs in both.
+"""
 
 from collections.abc import Mapping
 from typing import Final
