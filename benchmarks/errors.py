@@ -65,7 +65,7 @@ class ErrorsBench:
     progress: Progress
 
     def measure(self) -> FitMeasurement:
-        """Record, fit, drive and count."""
+        """Record drives, fit the errors, simulate drives with them, and count violations."""
         camera = UrbanCamera(UrbanCameraParams(detector=self.detector))
         folder = self.folder / f"{self.detector}-{RECORDED_SEED}".replace(":", "-").replace("/", "-")
         specs = random_specs(camera, self.recorded, RECORDED_SEED)

@@ -193,7 +193,7 @@ class Algorithm(Protocol[C, S]):
         id: Versioned plug-in id, such as ``mlcshe@1``.
         summary: One line for catalogues.
         config_type: Frozen dataclass whose fields are declared with `brink.search.settings.setting`.
-        finds: Optional. The kinds of findings that it finds, what it is for first, such as ``("pairs",)``; by
+        finds: Optional. The kinds of findings that it finds, the main one first, such as ``("pairs",)``; by
             default, ``("boundary",)``. See below.
         minimises: Optional. What the state's `fitness` is called: ``fitness`` by default, or ``criticality``; empty
             if the search minimises nothing that says how it goes on.
@@ -292,7 +292,7 @@ def declared_minimises(algorithm: object) -> str:
 
 
 def declared_finds(algorithm: object) -> tuple[str, ...]:
-    """Return the kinds of findings that an algorithm declares in `finds`, what it is for first."""
+    """Return the kinds of findings that an algorithm declares in `finds`, the main one first."""
     return tuple(getattr(algorithm, "finds", UNDECLARED))
 
 

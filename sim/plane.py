@@ -91,7 +91,7 @@ class Rectangle(NamedTuple):
 
 
 def half_extents_m(length_m: float, width_m: float, turn_rad: float) -> tuple[float, float]:
-    """Return half the extent of a rotated rectangle along and across the unrotated direction."""
+    """Return half the length and width of the axis-aligned bounding box of a rotated rectangle."""
     cosine, sine = abs(math.cos(turn_rad)), abs(math.sin(turn_rad))
     return 0.5 * (length_m * cosine + width_m * sine), 0.5 * (length_m * sine + width_m * cosine)
 

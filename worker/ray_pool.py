@@ -172,7 +172,7 @@ class Pool:
         log.info("workers for %s", self._settings.worker.server, extra={"cpus": _cpus()})
         while not self._stopping:
             if self._false_starts >= MAX_FALSE_STARTS and not any(m.healthy for m in self._members):
-                log.error("leaving: several workers in a row could not work; see their logs")
+                log.error("exiting: several workers in a row failed to start; see their logs")
                 self._drain()
                 return 1
             if self._idle and not self._members:

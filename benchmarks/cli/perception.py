@@ -1,4 +1,4 @@
-"""`python -m benchmarks detector | simood | rendering | perturbations`: pictures, and the detectors that see them."""
+"""`python -m benchmarks detector | simood | rendering | perturbations`: images, and detectors run on them."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

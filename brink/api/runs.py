@@ -1,6 +1,6 @@
 """Runs of campaigns and experiments: how the earlier run of a file is found and continued, or a new one submitted.
 
-A run that was simulated with other code of a plug-in is not an earlier run.
+A run that was simulated with different code of a plug-in is not an earlier run.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ class Workload(Protocol[P]):
 
     Attributes:
         noun: "campaign" or "experiment"; its plural is the REST resource.
-        note: That there is a run with other code, in a sentence; empty if `latest` found none.
+        note: A sentence if there is a run with different code; empty if `latest` found none.
         models: The language models that it names.
     """
 
@@ -96,7 +96,7 @@ class CampaignRun:
         changed = changed_sources(latest.body.sources, make_plan(self.body).body.sources)
         if changed is not None:
             self.note = (
-                f"campaign {latest.id} was simulated with other code of {changed}, so it is left unchanged"
+                f"campaign {latest.id} was simulated with different code of {changed}, so it stays unchanged"
             )
             return None
         return await api.read(Progress, f"/campaigns/{latest.id}/progress")
@@ -142,7 +142,7 @@ class ExperimentRun:
                     changed = await self._changed(api, one.id)
                     if changed is None:
                         return await api.read(ExperimentProgress, f"/experiments/{one.id}/progress")
-                    self.note = f"experiment {one.id} was simulated with other code of {changed}"
+                    self.note = f"experiment {one.id} was simulated with different code of {changed}"
                     return None
         return None
 

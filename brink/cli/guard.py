@@ -346,7 +346,7 @@ def _print(evaluation: GuardEvaluation) -> None:
     leads = [f"{lead_s:g} s" for lead_s in LEADS_S if lead_s]
     screen.print(
         f"violations predicted at least this long ahead, with alarms in {FALSE_ALARMS:.0%} of the safe drives (each "
-        f"drive is judged with a threshold that other drives choose; {INTERVALS}):",
+        f"threshold is chosen on other drives; {INTERVALS}):",
         soft_wrap=True,
     )
     right = ("false alarms", *leads)

@@ -90,7 +90,7 @@ def repeats(
 
 
 async def _say_what_comes_first(api: Api, campaign: str, place: str, screen: Console) -> None:
-    """Say what can be asked about the findings of a campaign that is for something else than the boundary."""
+    """If a campaign does not search for the boundary, print its finding and the follow-ups that it offers."""
     found = await api.read(Findings, f"/campaigns/{campaign}/findings", {"rows": 0})
     if found.findings and found.findings[0].kind != "boundary":
         print_sentence(screen, found.words)

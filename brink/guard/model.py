@@ -206,7 +206,7 @@ class GuardModel:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write the model to a file, which is replaced once the whole model is written.
+        """Write the model to a file, atomically.
 
         Raises:
             OSError: The file cannot be written.

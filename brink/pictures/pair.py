@@ -158,7 +158,7 @@ class Target:
 
     @property
     def words(self) -> str:
-        """Whether it is reported, such as ``not reported`` or ``reported as a person``."""
+        """Describe how the detector reports it, such as ``not reported`` or ``reported as a person``."""
         own = LABELS[0 if self.vehicle else 1]
         if not self.reported:
             return "not reported"

@@ -505,7 +505,7 @@ def write_campaign_figures(
 ) -> list[Path]:
     """Write the figures of a campaign to a folder, creating it if needed and replacing existing files.
 
-    After a search for something else than boundary solutions, such as pairs, the figures of these are left out.
+    Figures of boundary solutions are left out if the search was for anything else, such as pairs.
 
     Args:
         inputs: The campaign.

@@ -56,7 +56,7 @@ _BACKGROUND = LinearSegmentedColormap.from_list(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Map:
-    """Positions of the solutions and the rings, and the axes: meanings, or own coordinates.
+    """Positions of the solutions and rings on the map, and its axes.
 
     The rings are around pairs if the campaign searched for them, or around distinct boundary solutions if it searched
     for these; otherwise there are none.

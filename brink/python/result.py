@@ -108,7 +108,7 @@ class CampaignResult:
 
     @property
     def note(self) -> str:
-        """A note that the result is of an earlier run, or that an earlier run had other code; otherwise empty."""
+        """A note if this is the result of an earlier run, or if an earlier run used different code; else empty."""
         return self._words.note
 
     @property
@@ -495,7 +495,7 @@ class Result(CampaignResult, Synchronous[AsyncResult]):
 
 
 async def _finding(api: Api, progress: Progress) -> str:
-    """Return the finding of a campaign in a sentence, and what to try if it found nothing of what it is for."""
+    """Return the finding of a campaign in a sentence, and what to try if it did not find what it searched for."""
     found = await api.read(Findings, f"/campaigns/{progress.id}/findings", {"rows": 0})
     first = found.findings[0] if found.findings and found.complete and found.of is None else None
     if first is None or not first.is_empty or first.role is not Role.SOUGHT:

@@ -93,7 +93,7 @@ class Detection:
 
 @dataclass(slots=True, kw_only=True)
 class Image:
-    """One image of a drive; an image without road users has none.
+    """One image of a drive.
 
     Attributes:
         time_s: Its time.

@@ -98,7 +98,7 @@ class Facts:
 
     @property
     def left_out(self) -> int:
-        """Simulations of incomplete generations, whose results count nowhere else."""
+        """Simulations of incomplete generations, whose results are not counted elsewhere."""
         return max(
             self.progress.simulations - self.evaluated - failures_of(self.progress) - self.progress.measured,
             0,

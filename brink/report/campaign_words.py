@@ -194,7 +194,7 @@ def trust(facts: Facts, pictures: Mapping[str, KindPictures]) -> list[Term]:
             Term(
                 term="Start",
                 words=f"The search began with {counted(known.results, 'result')} that it did not simulate, "
-                f"{known.unsafe:,} of them unsafe; they count nowhere on this page.{left_out}",
+                f"{known.unsafe:,} of them unsafe; this page does not count them.{left_out}",
             )
         )
     terms += [term for one in pictures.values() for term in one.trust]

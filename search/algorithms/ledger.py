@@ -52,11 +52,11 @@ AGGREGATES: Final[Mapping[str, Callable[[Sequence[float]], float]]] = {
 class LedgerConfig:
     """Settings of every built-in algorithm: the neighbourhood in which an archive estimates the unsafe share.
 
-    Unless the search is led by boundary fitness (`BoundaryConfig`), they only say how the archive is shown.
+    Unless the search is guided by boundary fitness (`BoundaryConfig`), they only say how the archive is shown.
     """
 
     by_criticality: ClassVar[bool] = False
-    """Whether the search is led by the criticality of solutions."""
+    """Whether the criticality of solutions guides the search."""
     unused: ClassVar[tuple[str, ...]] = ("radius", "p_th", "z")
     """Settings that do not affect the search. Campaigns may have them, but forms and lists do not offer them."""
 
@@ -85,7 +85,7 @@ class LedgerConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundaryConfig(LedgerConfig):
-    """Settings of every algorithm that is led by boundary fitness, or compared with one that is."""
+    """Settings of every algorithm that is guided by boundary fitness, or serves as a baseline of one."""
 
     unused: ClassVar[tuple[str, ...]] = ()
 
@@ -519,7 +519,7 @@ class LedgerState:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoundaryState(LedgerState):
-    """Base class of the states of algorithms that are led by boundary fitness, or compared with one that is."""
+    """Base class of the states of algorithms that are guided by boundary fitness, or serve as their baselines."""
 
     @property
     def fitness(self) -> FloatArray:
@@ -538,7 +538,7 @@ class LedgerAlgorithm(Generic[C, S]):
         id: Versioned plug-in id.
         summary: One line for catalogues.
         config_type: Type of the settings.
-        finds: Kinds of findings, what it is for first.
+        finds: Kinds of findings, the main one first.
         minimises: What the state's `fitness` is called; empty for nothing.
         suggested: Place among the algorithms that a new campaign may begin with, the lowest first; None for no place.
         former: For settings that were added later, what their value was before, by name.

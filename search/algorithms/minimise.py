@@ -126,7 +126,7 @@ class Reductions:
         return self.trial(pair) is None and not self.is_minimal(pair)
 
     def after(self, trials: Sequence[Trial], unsafe: Sequence[bool | None]) -> Self:
-        """Return the pairs after trials.
+        """Return the pairs, narrowed by the results of trials.
 
         Args:
             trials: At most one of each pair.

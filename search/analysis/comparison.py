@@ -410,7 +410,7 @@ class Lead:
 
 
 def leads(repeats: Sequence[Repeat], problem: str, measure: Measure, d_th: float) -> list[Lead]:
-    """Return the differences between every two methods on a problem, for each t_b.
+    """Return the differences between each pair of methods on a problem, for each t_b.
 
     Args:
         repeats: Finished campaigns.

@@ -79,7 +79,7 @@ class PairCounts:
 
     @property
     def is_tried(self) -> bool:
-        """Whether the number of confirmed pairs is known: every pair was judged."""
+        """Whether every distinct pair was judged, so that the number of confirmed pairs is known."""
         return self.judged == self.distinct
 
     @classmethod
@@ -327,7 +327,7 @@ def measure_words(repeats: Sequence[PairRepeat], problem: str) -> str:
 
 
 def pair_duels(repeats: Sequence[PairRepeat], *, level: float = LEVEL) -> list[PairDuel]:
-    """Return every two methods on a problem compared, with p-values corrected over the comparisons of the problem.
+    """Compare each pair of methods on a problem, with p-values corrected over the comparisons of the problem.
 
     Args:
         repeats: Finished campaigns.

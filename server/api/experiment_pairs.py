@@ -62,7 +62,7 @@ class PairStandingView(View):
     known: Annotated[int, Field(description="Campaigns whose pairs were all judged, or that have none.")]
     pairs: Annotated[int, Field(description="Distinct pairs of all campaigns.")]
     checked: Annotated[int, Field(description="Checked ones among them.")]
-    tried: Annotated[int, Field(description="Those simulated again with other seeds after the search.")]
+    tried: Annotated[int, Field(description="Pairs simulated again with other seeds after the search.")]
     precision: Annotated[
         ProportionView | None,
         Field(description="Share of the checked pairs that were confirmed; null if none was tried."),
@@ -124,11 +124,9 @@ class PairRepeatView(View):
     ]
     confirmed: Annotated[
         int | None,
-        Field(
-            description="Those that are confirmed, as `rule` says; null if there are pairs, and none was tried."
-        ),
+        Field(description="Confirmed pairs, by `rule`; null if there are pairs, but none was tried."),
     ]
-    refuted: Annotated[int, Field(description="Those that are refuted.")]
+    refuted: Annotated[int, Field(description="Refuted pairs.")]
     checked_judged: Annotated[int, Field(description="Checked ones among the judged.")]
     checked_confirmed: Annotated[int, Field(description="Checked ones among the confirmed.")]
     component: Annotated[int, Field(description="Unsafe sides that are safe with ground truth.")]
@@ -172,7 +170,7 @@ class ExperimentPairs(View):
     rule: ConfirmationRule = ConfirmationRule()
     left_out: Annotated[
         tuple[LeftOutView, ...],
-        Field(description="Finished campaigns that have too many pairs; they count nowhere else here."),
+        Field(description="Finished campaigns that have too many pairs; no other number includes them."),
     ] = ()
     alpha: Annotated[
         float, Field(description="Corrected p value up to which a difference is significant.")

@@ -223,7 +223,7 @@ async def delete_experiment(experiment_id: str, services: Services) -> None:
 
 @router.get("/{experiment_id}/deletion")
 async def get_deletion(experiment_id: str, services: Services) -> Deletion:
-    """Return the campaigns that deleting an experiment would delete: its own, their follow-ups, and theirs."""
+    """Return the campaigns that deleting an experiment would delete: its own, and all their follow-ups."""
     return deletion_view(await services.experiments.doomed(experiment_id))
 
 

@@ -31,7 +31,7 @@ class OutcomesView(View):
         list[str], Field(description="Requirements that decide the verdict; empty if unknown.")
     ]
     evaluated: Annotated[int, Field(description="Solutions with a verdict.")]
-    recorded: Annotated[int, Field(description="Those whose result has the requirements.")]
+    recorded: Annotated[int, Field(description="Solutions whose result has the requirements.")]
     words: Annotated[
         str,
         Field(

@@ -137,7 +137,7 @@ class Progress(View):
     reported: Annotated[
         int, Field(description="Verdicts that workers have reported and the search has not received yet.")
     ] = 0
-    reported_unsafe: Annotated[int, Field(description="Those of them that are unsafe.")] = 0
+    reported_unsafe: Annotated[int, Field(description="Of these, unsafe ones.")] = 0
     reported_failed: Annotated[
         int, Field(description="Failed simulations that the search has not received yet.")
     ] = 0

@@ -430,7 +430,7 @@ class Stepper:
         began: float,
     ) -> Step:
         archive: Archive = told.archive
-        # Neighbours are counted with each generation only for a search that is led by them.
+        # Neighbours are counted with each generation only for a search that they guide.
         counted = plan.is_for("boundary") or finished
         boundary = distinct_boundary(archive, DEFAULT_T_B, DEFAULT_D_TH) if counted else None
         fitness = told.fitness

@@ -172,7 +172,7 @@ class StartFrom(Body):
         bool,
         Field(
             description="Whether to use the campaign's results; if not, its solutions are simulated first, at "
-            "the expense of the budget."
+            "which counts against the budget."
         ),
     ] = True
     limit: Annotated[

@@ -62,7 +62,7 @@ class LiveSearches:
 
     @property
     def size(self) -> int:
-        """Their memory in bytes, as measured."""
+        """Measured memory of the searches, in bytes."""
         return self._bytes
 
     def _remove(self, campaign_id: str) -> None:

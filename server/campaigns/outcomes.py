@@ -94,7 +94,7 @@ def outcome_of(
     deciding = _deciding(problem, verdicts, robustness)
     features = (result or {}).get("features") or {}
     episode = EpisodeVerdict.of(verdicts, features, deciding)
-    if deciding and episode.unsafe == safe:  # the problem decides by something else than the sign
+    if deciding and episode.unsafe == safe:  # the problem does not decide by the sign
         episode = EpisodeVerdict.of(verdicts, features, ())
     kind = OutcomeKind.VIOLATED if not safe else OutcomeKind.OTHER if episode.violated else OutcomeKind.HELD
     return SolutionOutcome(kind=kind, episode=episode, verdict="safe" if safe else "unsafe")

@@ -142,7 +142,7 @@ class ResultChecks:
         self._threads.shutdown(wait=True, cancel_futures=True)
 
     async def _judge(self, results: Sequence[UnjudgedResult], campaign_id: str) -> Sequence[Judgement]:
-        """Return whether a campaign can use results; accept all of them if that takes too long, now or before."""
+        """Return whether a campaign can use results. If the check is too slow, or was earlier, accept all of them."""
         unchecked = [Judgement()] * len(results)
         if self._late[campaign_id] and self._running[campaign_id]:
             return unchecked

@@ -34,13 +34,13 @@ def other_simulator(connection: Connection, campaign: Campaign) -> str | None:
         return None
     if (changed := changed_sources(campaign.body.sources, plan.body.sources)) is not None:
         return (
-            f"this campaign was simulated with other code of {changed}, whose results may differ. Continue with the "
-            "code that it began with, or submit it again."
+            f"this campaign was simulated with different code of {changed}, whose results may differ. "
+            "Continue with the code that it began with, or submit it again."
         )
     if plan.body.sources and not campaign.body.sources:
         log.warning(
             "the version of Brink that started this campaign did not record the source of its plug-ins: edits since "
-            "then cannot be told",
+            "then cannot be detected",
             extra={"campaign": campaign.id},
         )
     problem = plan.problem

@@ -271,7 +271,7 @@ async def find_safely(kind: Kind, subject: Subject, given: Mapping[str, str] = N
 
 
 def kinds_of(plan: Plan) -> dict[Kind, Role]:
-    """Return a campaign's kinds of findings with their roles, those that it is for first."""
+    """Return a campaign's kinds of findings with their roles, the main ones first."""
     asked_of = {kind: asked(kind, partial(kind.role, plan), None) for kind in all_kinds()}
     roles = {kind: role for kind, role in asked_of.items() if role is not None}
     exclusive = {kind: role for kind, role in roles.items() if kind.is_exclusive and role is Role.SOUGHT}

@@ -143,7 +143,7 @@ class _Known:
         return any(kind.is_exclusive for kind in self.kinds)
 
     def subjects(self, rows: int) -> dict[Kind, Subject]:
-        """Return the kinds of findings that the campaign has, those that it is for first."""
+        """Return the kinds of findings that the campaign has, the main ones first."""
         return {kind: self.subject(role, rows) for kind, role in self.kinds.items()}
 
     def subject(self, role: Role, rows: int = 0) -> Subject:

@@ -26,7 +26,7 @@ _BASE_URL: Final = re.compile(r"https?://[^\s/?#@\\,]+(/[^\s?#@\\,]*)?")
 
 @dataclass(frozen=True, slots=True)
 class _Allowed:
-    """A base URL, `_ANY` for all, and the environment variables whose keys may be sent there."""
+    """An allowed base URL (`_ANY` allows all) and the environment variables whose keys may be sent there."""
 
     base: str
     keys: frozenset[str]

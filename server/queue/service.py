@@ -284,9 +284,9 @@ class QueueService:
         return ResultsReply(statuses=statuses, lease=reply)
 
     async def _judge(self, check: ResultCheck, exchange: Exchange, report: Report) -> Report:
-        """Store the outcomes that no transaction can decide, once they are decided; return the report on all of them.
+        """Judge and store the outcomes that cannot be judged within a transaction; return the report on all outcomes.
 
-        What was stored of the others, and the leases granted, stand already.
+        The other outcomes and the leases granted have been committed before.
         """
         waiting = [place for place, status in enumerate(report.statuses) if status == UNJUDGED]
         outcomes = [exchange.outcomes[place] for place in waiting]

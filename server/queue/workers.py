@@ -207,7 +207,7 @@ def live_capabilities(connection: Connection, within_s: float) -> dict[str, tupl
 
 
 def can_run(connection: Connection, needs: str, within_s: float) -> bool:
-    """Return whether a capability is offered by a worker that takes jobs and is live or holds an unexpired lease."""
+    """Return whether an undrained worker, live or with an unexpired lease, offers a capability."""
     now = database_now(connection)
     holds_a_lease = exists(
         select(JobRow.id).where(

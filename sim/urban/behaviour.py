@@ -51,7 +51,7 @@ def trajectory_ranges(duration_s: float = DEFAULT_DURATION_S) -> dict[str, tuple
 
 
 def last_perception_step(duration_s: float) -> int:
-    """Return T, the end of an episode in perception steps; the detector runs at steps 0 to T - 1."""
+    """Return T, the number of perception steps in an episode; the detector runs at steps 0 to T - 1."""
     return round(duration_s / PERCEPTION_STEP_S)
 
 

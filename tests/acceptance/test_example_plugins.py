@@ -88,7 +88,7 @@ def test_an_edited_plugin_is_simulated_again_under_the_same_id(tmp_path: Path) -
     before = run(source)
     after = run(edited, "--resume")
     assert after["campaign"] != before["campaign"]
-    assert f"campaign {before['campaign']} was simulated with other code of brake-assist" in " ".join(
+    assert f"campaign {before['campaign']} was simulated with different code of brake-assist" in " ".join(
         after["said"].split()
     )
     assert after["unsafe"] < before["unsafe"]

@@ -82,7 +82,7 @@ def plan_anchors(state: EdgeState, plan: Plan, count: int) -> None:
 
 
 def _proposals(state: EdgeState, prior: Prior, surrogate: Surrogate, rng: np.random.Generator) -> _Proposals:
-    """Return known and random solutions where an anchor would be new.
+    """Propose known and random solutions as new anchors.
 
     They are clear, not simulated by this search yet, and far from known pairs, from all brackets and from the anchors
     that the search has or waits for.

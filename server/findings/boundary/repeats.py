@@ -172,7 +172,7 @@ def _in_words(view: RepeatsView, to_clear: int | None) -> str:
         f"(interval {low:.1%} to {high:.1%})"
     )
     if view.status is not CampaignStatus.FINISHED:
-        return f"{what}, not yet simulated again {view.repeats} times: {share} so far; {view.status}{reason}"
+        return f"{what}, fewer than {view.repeats} repeats of each so far: {share}; {view.status}{reason}"
     again = f"{what}, with other seeds, {drives} times each: {share}."
     if to_clear is None:
         return f"{again} {_by_verdict(view)}"

@@ -28,7 +28,7 @@ class BudgetBoundary(View):
 
 
 class KnownBoundary(View):
-    """The boundary of a campaign's solutions together with the known results that it started from."""
+    """The boundary among a campaign's solutions and its known results together."""
 
     results: Annotated[int, Field(description="Known results, none of which the campaign simulated.")]
     dbs: int

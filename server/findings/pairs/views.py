@@ -376,7 +376,7 @@ class PairsView(View):
         int, Field(description="Sides of distinct pairs that were simulated again with other seeds.")
     ] = 0
     changed: Annotated[
-        int, Field(description="Those among them that did not always keep the verdict of the search.")
+        int, Field(description="Of these, sides that did not always keep the verdict of the search.")
     ] = 0
     confirmed: Annotated[int, Field(description="Distinct pairs that are confirmed.")]
     refuted: Annotated[int, Field(description="Distinct pairs that are refuted.")]

@@ -18,7 +18,7 @@ _REPEATED: Final = (Confirmation.CONFIRMED, Confirmation.REFUTED, Confirmation.U
 _ONE_SEED: Final = "the {} is to blame, judged with this one seed"
 _REDUCED: Final = {
     Minimality.PENDING: "being minimised",
-    Minimality.UNDECIDED: "minimal or not: undecided",
+    Minimality.UNDECIDED: "minimality undecided",
     Minimality.MINIMAL: "minimal",
 }
 _PARTS: Final = {

@@ -132,7 +132,8 @@ def _not_judged(problem: Problem, cells: Sequence[Mapping[str, str]], drives: Se
     worst.sort(reverse=True)
     if not worst:
         return ""
-    return f" Not judged, as there is no cell: {'; '.join(words for _, words in worst[:_MOST_NOT_JUDGED])}."
+    named = "; ".join(words for _, words in worst[:_MOST_NOT_JUDGED])
+    return f" Not judged, because the campaign has no cell for them: {named}."
 
 
 _GROSS: Final = 0.25

@@ -48,7 +48,7 @@ class CurveView(View):
     low: list[float]
     high: list[float]
     drives: Annotated[list[int], Field(description="Simulated drives with the error.")]
-    caused: Annotated[list[int], Field(description="Those with a violation that the error caused.")]
+    caused: Annotated[list[int], Field(description="Drives with a violation that the error caused.")]
 
 
 class FallView(View):
@@ -87,11 +87,13 @@ class CellView(View):
     decimals: Annotated[int, Field(description="Decimal places of magnitudes that matter.")]
     meaning: str
     drives: Annotated[int, Field(description="Drives with the error; of screened cells, vulnerable ones.")]
-    caused: Annotated[int, Field(description="Those with a violation that the error caused.")]
+    caused: Annotated[int, Field(description="Drives with a violation that the error caused.")]
     screened: Annotated[
         int, Field(description="Drives that were screened with the most severe error; 0 for none.")
     ]
-    vulnerable: Annotated[int, Field(description="Those with a violation that the most severe error caused.")]
+    vulnerable: Annotated[
+        int, Field(description="Screened drives with a violation that the most severe error caused.")
+    ]
     tolerated: ToleratedView
     tolerated_words: Annotated[
         str, Field(description="The tolerated magnitude with its interval, such as `2.2 s [1.4, 2.8]`.")
@@ -139,7 +141,7 @@ class ToleranceView(View):
             description="Drives simulated with a milder error although they hold with the most severe one."
         ),
     ]
-    leaks: Annotated[int, Field(description="Those that violated nevertheless.")]
+    leaks: Annotated[int, Field(description="Audited drives that violated nevertheless.")]
     cells: list[CellView]
 
 
@@ -182,7 +184,7 @@ class DetectorConditionView(View):
     condition: str
     drives: int
     violations: Annotated[
-        int | None, Field(description="Those that violated a requirement; null if unknown.")
+        int | None, Field(description="Drives that violated a requirement; null if unknown.")
     ]
 
 
@@ -199,7 +201,7 @@ class DetectorView(View):
     next: Annotated[list[str], Field(description="What to record next to decide more, in sentences.")]
     conditions: list[DetectorConditionView]
     cells: Annotated[
-        list[DetectorCell], Field(description="Those that are not met first, those without data last.")
+        list[DetectorCell], Field(description="Cells that are not met first, cells without data last.")
     ]
 
 
@@ -212,7 +214,7 @@ class AgreementCell(View):
     condition: str
     drives: Annotated[int, Field(description="Fresh drives with the error.")]
     caused: Annotated[int, Field(description="Fresh drives with a violation that the error caused.")]
-    low: Annotated[int, Field(description="Lower end of the interval in which that number was predicted.")]
+    low: Annotated[int, Field(description="Lower end of the prediction interval of that number.")]
     high: int
     agrees: bool
 

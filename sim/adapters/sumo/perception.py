@@ -90,7 +90,7 @@ class Perception:
         self._runs_red.pop(vehicle, None)
 
     def update(self, time_s: float) -> None:
-        """Begin, keep up or end the error, before the step that begins at a time."""
+        """Start, continue or end the error, before the simulation step that starts at a time."""
         error = self._error
         if error is None:
             return

@@ -65,7 +65,7 @@ def test_a_campaign_is_not_continued_with_other_code(engines: Engines, database_
     with coordinator(database_url) as client:
         eventually(lambda: progress(client, campaign)["status"] == "paused", "the first sweep pauses it")
         reason = progress(client, campaign)["status_reason"]
-        assert "simulated with other code of ball@1 (source " in reason
+        assert "simulated with different code of ball@1 (source " in reason
         assert f"{SIMULATOR} (source " in reason
         assert "here eeeeeeee" in reason
         assert "submit it again" in reason
@@ -86,10 +86,10 @@ def test_a_finished_campaign_is_shown_but_not_repeated_with_other_code(
     with coordinator(database_url) as client:
         assert expect(client.get(f"{API}/{campaign}/boundary", params=wide)) == before
         answer = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **wide}), 409)
-        assert "simulated with other code of ball@1" in answer["detail"]
+        assert "simulated with different code of ball@1" in answer["detail"]
         warm = {**ball(), "start_from": {"campaign": campaign}, "algorithm": {"id": "edge@1"}}
         answer = expect(client.post(API, json=warm), 422)
-        assert "simulated with other code of ball@1" in answer["detail"]
+        assert "simulated with different code of ball@1" in answer["detail"]
 
 
 @on_sqlite
@@ -126,7 +126,7 @@ def test_runs_with_other_code_are_no_earlier_runs(listening_client: httpx.Client
     assert asyncio.run(latest(submit=False))[0] == [False, False]
     found, said = asyncio.run(latest(submit=True))
     assert found == [True, True]
-    assert said.count("was simulated with other code of ball@1 (source ") == 2
+    assert said.count("was simulated with different code of ball@1 (source ") == 2
 
 
 @pytest.mark.long("runs campaigns")
@@ -153,4 +153,4 @@ def test_a_campaign_that_may_run_is_imported_and_only_continued_with_the_same_co
                 assert FakeWorker(client).work(half)["status"] == "finished"
                 return
             eventually(lambda: progress(client, half)["status"] == "paused", "its step pauses it")
-            assert "simulated with other code of ball@1" in progress(client, half)["status_reason"]
+            assert "simulated with different code of ball@1" in progress(client, half)["status_reason"]

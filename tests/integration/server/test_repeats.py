@@ -330,7 +330,7 @@ def test_unfinished_repeats_are_not_shown_as_a_verdict_nor_resumed(listening_cli
     shown = CliRunner().invoke(app, command)
     assert shown.exit_code == 0, shown.output
     assert f"{count} boundary solutions" in shown.output
-    assert "not yet simulated again 12 times" in shown.output
+    assert "fewer than 12 repeats of each so far" in shown.output
     assert "paused" in shown.output
     assert "By solution" not in shown.output
     assert progress(listening_client, view["campaign"])["status"] == "paused", "whoever looks does not resume"

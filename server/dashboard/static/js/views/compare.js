@@ -160,7 +160,7 @@ function note(place, all) {
   const words = [
     problems.size > 1 && ["warn", "The campaigns search different problems, so their results are not comparable."],
     problems.size === 1 && worlds.size > 1 && ["warn", "The problems of the campaigns have different parameters, which may explain differences."],
-    problems.size === 1 && budgets.size > 1 && ["warn", "The budgets of the campaigns differ, and more simulations find more. The charts compare equal numbers of simulations."],
+    problems.size === 1 && budgets.size > 1 && ["warn", "The budgets of the campaigns differ, so the totals are not comparable. The charts compare equal numbers of simulations."],
     others.length > 0 && ["", `${others.map((one) => one.name).join(", ")} ${others.length === 1 ? "does" : "do"} not search for the hazard boundary, so DBS is not shown for ${others.length === 1 ? "it" : "them"}.`],
     ...all.filter((one) => one.trouble).map((one) => ["bad", `${one.name}: ${one.trouble}`]),
   ].filter(Boolean);
