@@ -233,7 +233,7 @@ def _compose(page: Page, name: str) -> None:
     if name == "campaign":
         _scroll_to(page, "Map")
     if name == "campaigns":
-        shown(page.get_by_text("…", exact=True)).to_have_count(0, timeout=PATIENCE_S * 1000)
+        shown(page.get_by_text("being worked out", exact=True)).to_have_count(0, timeout=PATIENCE_S * 1000)
     if name == "jobs":  # where files lie on the machine that simulated says nothing
         for told in page.locator("details[open] > summary").all():
             told.click()
