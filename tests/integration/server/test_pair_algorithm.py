@@ -94,7 +94,7 @@ def test_terminal_and_files_show_its_pairs(
     count = f"{pairs['distinct']} distinct pairs"
     assert count in terminal(client, "findings", campaign)
     assert count in terminal(client, "pairs", campaign)
-    assert "brink pairs" in terminal(client, "status", campaign)
+    assert "brink findings" in terminal(client, "status", campaign)
     terminal(client, "pairs", campaign, "--out", str(tmp_path / "pairs.csv"))
     assert len((tmp_path / "pairs.csv").read_text().splitlines()) == pairs["distinct"] + 1
 
