@@ -378,7 +378,7 @@ def test_coco_is_short_for_truth_and_detections(check: Checked, tmp_path: Path) 
         (["--out", "nowhere/check.csv"], "nowhere: no such folder"),
         (["--picture", "check.gif"], "ends in .png, .svg or .pdf"),
         (["--json", "--format", "csv"], "cannot be combined with --format"),
-        (["--format", "csv", "--format", "csv"], "csv: may be given only once"),
+        (["--format", "csv", "--format", "csv"], "csv: expected it once"),
         (["--format", "xml"], "expected one of table, sentences, csv, json, md, html, or of a recording"),
         (["--episodes", "9c01"], "cannot be combined with --episodes"),
         (["--coco", "a.json", "b.json"], "cannot be combined with --detections"),

@@ -88,9 +88,8 @@ def test_the_tolerated_magnitudes_are_found_with_units_and_sentences(service: Se
         assert cell["curve"]["severity"][-1] == 1.0
         assert cell["curve"]["magnitude"][-1] == {"miss": 8.0, "left": 4.0}[kind]
         assert sum(cell["curve"]["drives"]) == cell["drives"]
-    assert view["note"].startswith(
-        f"8 cells, {sum(cell['drives'] for cell in view['cells'])} drives with an error"
-    )
+    assert view["note"].startswith("of 8 cells, ")
+    assert f"; {sum(cell['drives'] for cell in view['cells'])} drives with an error" in view["note"]
 
 
 def test_the_finding_says_what_a_missing_limit_does_not_mean(service: Service) -> None:
