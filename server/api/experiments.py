@@ -257,7 +257,7 @@ async def get_results(
 async def _pairs(
     experiment: Experiment, services: Context, wait_s: float, alpha: float
 ) -> ExperimentPairs | str | None:
-    """Return the pairs of an experiment that asks for them, or a description of what is still being computed."""
+    """Return an experiment's pairs, if it asks for any, or a description of what is still being computed."""
     if experiment.body.pairs is None:
         return None
     return await find_experiment_pairs(services, experiment, settings_of(experiment.body), wait_s, alpha)
