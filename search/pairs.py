@@ -74,11 +74,13 @@ class Steps:
             b: Another one.
             eps: Largest distance of a tight pair.
         """
-        units = self.differing(a, b)
-        if not units:
+        if np.array_equal(a, b):
             return False
-        if self.distance(a, b) <= eps:
-            return True
+        return self.distance(a, b) <= eps or self.are_one_step_apart(a, b)
+
+    def are_one_step_apart(self, a: FloatArray, b: FloatArray) -> bool:
+        """Return whether two rows of shape ``(d,)`` differ in one unit alone, with no valid value in between."""
+        units = self.differing(a, b)
         return len(units) == 1 and self._halfway(a, b, units[0]) is None
 
     def largest_tight(self, eps: float) -> float:

@@ -3,7 +3,7 @@
 Any archive may hold pairs, whichever search filled it. A solution that was simulated several times, with the same
 parameters and other seeds, counts once: it is safe if all its verdicts are, unsafe if all are, otherwise *chancy*.
 Chancy solutions are on neither side of a pair. A pair is *checked* if each of its sides was simulated with at least
-two different seeds.
+two different seeds. It is *categorical* if a category, or one step of a whole number, is changed and nothing else.
 
 Two near solutions with opposite verdicts are not a pair if they differ in no parameter that was active in either of
 their episodes, which then differed only by chance.
@@ -69,12 +69,15 @@ class Pair:
         unsafe: The unsafe side: every simulation of it was unsafe.
         distance: Distance between the two.
         units: Columns in which they differ; numbers that a constraint ties together are one unit.
+        is_categorical: Whether they differ in one category, or in one number with no valid value in between, and in
+            nothing else.
     """
 
     safe: Side
     unsafe: Side
     distance: float
     units: tuple[Unit, ...]
+    is_categorical: bool = False
 
     @property
     def checked(self) -> bool:
@@ -190,6 +193,7 @@ def find_pairs(
                 unsafe=side(unsafe),
                 distance=distance,
                 units=tuple(steps.differing(rows[safe], rows[unsafe])),
+                is_categorical=steps.are_one_step_apart(rows[safe], rows[unsafe]),
             )
             for safe, unsafe, distance in zip(
                 taken.safe.tolist(), taken.unsafe.tolist(), taken.distance.tolist(), strict=True

@@ -62,12 +62,7 @@ class EdgeConfig(LedgerConfig):
     """Settings of the search for pairs."""
 
     eps: float = setting(
-        0.02,
-        label="Distance within a pair",
-        main=True,
-        help="Largest distance of a tight pair.",
-        ge=1e-6,
-        le=1,
+        0.02, label="Distance within a pair", main=True, help="Largest distance of a pair.", ge=1e-6, le=1
     )
     d_th: float = setting(
         0.2,
@@ -87,7 +82,7 @@ class EdgeConfig(LedgerConfig):
     )
     checks: int = setting(
         1,
-        help="Fresh seeds under which each side of a tight pair is simulated again; 0 for deterministic problems.",
+        help="Fresh seeds under which each side of a pair is simulated again; 0 for deterministic problems.",
         ge=0,
         le=100,
     )

@@ -35,6 +35,7 @@ from brink.server.findings.pairs.views import (
     MinimalityView,
     MinimisedView,
     NearestView,
+    PairNature,
     PairsView,
     PairView,
     SideView,
@@ -51,6 +52,7 @@ from brink.server.problems.changes import (
     common_words,
     moved_words,
 )
+from brink.server.problems.error_slots import SCENARIO
 from brink.server.states import CampaignStatus, FollowUpKind, Selection, SolutionVerdict
 from brink.sim.verdict import drives_held, unsafe_words
 
@@ -76,7 +78,9 @@ def pairs_view(
     problem = found.plan.problem
     repeated = Repeated.of(stored)
     states = [repeated.state(pair.safe.number, pair.unsafe.number) for pair in pairs.found.pairs]
-    placed = sorted(enumerate(pairs.found.pairs, start=1), key=lambda one: states[one[0] - 1].rank)[:limit]
+    natures = [_nature(problem, pair) for pair in pairs.found.pairs]
+    ranks = [(state.rank, _NATURES.index(nature)) for state, nature in zip(states, natures, strict=True)]
+    placed = sorted(enumerate(pairs.found.pairs, start=1), key=lambda one: ranks[one[0] - 1])[:limit]
     shown = [pair for _, pair in placed]
     numbers = {side.number for pair in shown for side in (pair.safe, pair.unsafe)}
     some = set(found.archive.numbers[:1].tolist())  # tells the requirement where there is no pair
@@ -126,6 +130,8 @@ def pairs_view(
         chance=_chance(pairs, *sides, refuted=counts["refuted"]),
         tight=pairs.found.tight,
         distinct=len(pairs.found.pairs),
+        categorical=len(natures) - natures.count(PairNature.NUMBERS),
+        scenario_only=natures.count(PairNature.SCENARIO),
         checked=pairs.found.checked,
         **counts,
         nearest=None
@@ -244,6 +250,7 @@ def _pair(
         moved=moved,
         common=common_words(sides[0].words, sides[1].words),
         distance=pair.distance,
+        nature=_nature(problem, pair),
         checked=pair.checked,
         same_seed=pair.same_seed,
         confirmation=evidence.confirmation(pair),
@@ -253,6 +260,18 @@ def _pair(
         safe=sides[0],
         unsafe=sides[1],
     )
+
+
+_NATURES: Final = list(PairNature)
+
+
+def _nature(problem: Problem, pair: Pair) -> PairNature:
+    """Return what differs between the sides of a pair."""
+    if not pair.is_categorical:
+        return PairNature.NUMBERS
+    names = problem.space.column_names()
+    of_scenario = all(names[column].startswith(f"{SCENARIO}.") for unit in pair.units for column in unit)
+    return PairNature.SCENARIO if of_scenario else PairNature.CATEGORY
 
 
 def _changes(

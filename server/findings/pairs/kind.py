@@ -28,7 +28,7 @@ from brink.server.findings.pairs.views import (
     PairsView,
     PairView,
 )
-from brink.server.findings.pairs.words import chance_words, figures, meaning, trust
+from brink.server.findings.pairs.words import categorical_words, chance_words, figures, meaning, trust
 from brink.server.findings.words import counted
 from brink.server.states import Selection
 
@@ -94,7 +94,7 @@ class PairsKind(Kind):
             title=self.title,
             role=subject.role,
             sentence=view.sentence,
-            more=[view.blame] if view.blame else [],
+            more=[words for words in (categorical_words(view), view.blame) if words],
             purpose=f"Brink searched for pairs of {many} that are neighbours, although one is safe and the other is "
             "not: the boundary of what the system can handle runs between them.",
             example="".join(f"For example, pair {pair.place}: {pair.words}" for pair in best),

@@ -19,6 +19,17 @@ MOST_PAIRS: Final = 1_000
 DEFAULT_PAIRS: Final = 100
 
 
+class PairNature(StrEnum):
+    """What differs between the sides of a pair."""
+
+    NUMBERS = "numbers"
+    """Numbers move, or several categories change."""
+    CATEGORY = "category"
+    """A category, or one step of a whole number, is changed and nothing else: a categorical pair."""
+    SCENARIO = "scenario category"
+    """The same, and it belongs to the scenario: the component has no part in the change."""
+
+
 class ConfirmationView(View):
     """Whether both sides keep their verdicts with other seeds."""
 
@@ -197,6 +208,13 @@ class PairView(View):
         ),
     ]
     distance: float
+    nature: Annotated[
+        PairNature,
+        Field(
+            description="What differs: `numbers`, or in a categorical pair a `category` or a step and nothing else; "
+            "`scenario category` if that belongs to the scenario."
+        ),
+    ] = PairNature.NUMBERS
     checked: Annotated[
         bool, Field(description="Whether both sides kept their verdicts with another seed during the search.")
     ]
@@ -362,6 +380,15 @@ class PairsView(View):
     ] = 0
     tight: Annotated[int, Field(description="Pairs, distinct or not.")]
     distinct: Annotated[int, Field(description="Distinct pairs.")]
+    categorical: Annotated[
+        int,
+        Field(
+            description="Distinct pairs that are categorical: a category or a step is changed and nothing else."
+        ),
+    ] = 0
+    scenario_only: Annotated[
+        int, Field(description="Categorical pairs whose category or step belongs to the scenario.")
+    ] = 0
     checked: Annotated[int, Field(description="Distinct pairs that are checked.")]
     tried: Annotated[
         int,
@@ -411,7 +438,8 @@ class PairsView(View):
     pairs: Annotated[
         list[PairView],
         Field(
-            description="Confirmed ones first, refuted ones last; otherwise in the order of their numbers."
+            description="Confirmed ones first, refuted ones last; among these, categorical ones last; otherwise in "
+            "the order of their numbers."
         ),
     ]
     legend: Annotated[

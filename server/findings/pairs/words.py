@@ -6,7 +6,14 @@ from brink.search.analysis.confirmation import Confirmation, Share
 from brink.search.sequential import INTERVAL, Verdict, verdict_of
 from brink.server.findings.finding import Term
 from brink.server.findings.follow_ups import ShareView
-from brink.server.findings.pairs.views import ComponentPart, ConfirmationView, Minimality, PairsView, PairView
+from brink.server.findings.pairs.views import (
+    ComponentPart,
+    ConfirmationView,
+    Minimality,
+    PairNature,
+    PairsView,
+    PairView,
+)
 from brink.server.findings.words import counted
 from brink.server.problems.changes import as_sentence
 from brink.sim.verdict import held_words
@@ -20,6 +27,11 @@ _REDUCED: Final = {
     Minimality.PENDING: "being minimised",
     Minimality.UNDECIDED: "minimality undecided",
     Minimality.MINIMAL: "minimal",
+}
+_NATURES: Final = {
+    PairNature.NUMBERS: "",
+    PairNature.CATEGORY: " (categorical pair)",
+    PairNature.SCENARIO: " (categorical pair, scenario only)",
 }
 _PARTS: Final = {
     ComponentPart.COMPONENT: "component's hazard (one seed)",
@@ -157,9 +169,10 @@ def _search_words(pair: PairView) -> str:
 
 
 def extent_words(pair: PairView) -> str:
-    """Return in how many of the parameters the sides differ."""
+    """Return in how many of the parameters the sides differ, and whether it is a category or a step alone."""
     differing = sum(len(change.names) for change in pair.changes)
-    return f"{differing} of {sum(map(len, pair.safe.parameters.values()))} parameters"
+    words = f"{differing} of {sum(map(len, pair.safe.parameters.values()))} parameters"
+    return words + _NATURES[pair.nature]
 
 
 def share_words(share: ShareView) -> str:
@@ -174,6 +187,11 @@ def share_words(share: ShareView) -> str:
 def legend(view: PairsView) -> tuple[str, ...]:
     """Return what the words about pairs mean that need it, one term at a time."""
     told = [view.terms] if view.terms else []
+    if view.categorical:
+        told.append(
+            "categorical pair: a category or a step is changed and nothing else; scenario only: it belongs to the "
+            "scenario, so the pair says nothing about the component"
+        )
     states = {pair.confirmation.state for pair in view.pairs}
     if view.pairs and not view.computed:
         told.append("safe and unsafe: by the requirement of the campaign alone")
@@ -241,11 +259,26 @@ def meaning(view: PairsView, noun: str) -> str:
     )
 
 
+def categorical_words(view: PairsView) -> str:
+    """Return how many pairs differ in a category or a step alone, without a full stop; empty if none does."""
+    if not view.categorical:
+        return ""
+    words = (
+        f"In {view.categorical:,} of {counted(view.distinct, 'pair')}, a category or a step is changed and nothing "
+        "else"
+    )
+    if view.scenario_only:
+        words += f"; in {view.scenario_only:,} of these, it belongs to the scenario"
+    return words
+
+
 def figures(view: PairsView) -> list[Term]:
     """Return how many pairs there are, how many of them hold, and for how many the component is to blame."""
     told = [
         Term(term=f"{view.distinct:,}", words="distinct pair" if view.distinct == 1 else "distinct pairs")
     ]
+    if view.categorical:
+        told.append(Term(term=f"{view.categorical:,} of {view.distinct:,}", words="pairs are categorical"))
     if view.tried:
         words = "pairs confirmed with other seeds"
         told.append(Term(term=f"{view.confirmed:,} of {view.tried:,}", words=words))

@@ -4,7 +4,7 @@ import csv
 import io
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import httpx
 import pytest
@@ -14,7 +14,12 @@ from support.problems import REQUIREMENT, simulated
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
+from brink.search.algorithm import Evaluation, Scored
+from brink.search.space import Categorical, Component, Integer, SearchSpace
 from brink.server.campaigns.pairs import find_reducible
+from brink.server.problems.base import InProcessProblem, NoParams, Vectors
+from brink.server.problems.catalogue import PROBLEMS
+from brink.sim import catalogue
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 API = "/api/v1/campaigns"
@@ -38,6 +43,53 @@ def points(client: httpx.Client, campaign: str) -> dict[int, tuple[float, float,
         one["number"]: (one["parameters"]["where"]["x"], one["parameters"]["what"]["y"], one["verdict"])
         for one in page["solutions"]
     }
+
+
+class Crossroads(InProcessProblem):
+    """Unsafe on ice if the detector is blind or the car is fast, and on a dry road if it is blind and fast."""
+
+    id: ClassVar[str] = "crossroads@1"
+    summary: ClassVar[str] = "Categories of the scenario and of the component, and a number."
+    params_type: ClassVar[type[Any]] = NoParams
+
+    def __init__(self, params: NoParams) -> None:
+        road, detector = Categorical("road", ("dry", "ice")), Categorical("detector", ("sees", "blind"))
+        speed = Integer("speed", 0, 9)
+        self.space = SearchSpace((Component("scenario", (road,)), Component("behaviour", (detector, speed))))
+
+    def evaluate(self, vectors: Vectors) -> Evaluation:
+        """Return the verdict."""
+        icy, blind, fast = vectors[0][0] == 1.0, vectors[1][0] == 1.0, vectors[1][1] > 4.0
+        unsafe = sum(map(int, (icy, blind, fast))) >= 2
+        return Scored(unsafe=unsafe, robustness=-1.0 if unsafe else 1.0)
+
+
+def test_categorical_pairs_are_counted_apart_and_come_last(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(catalogue._registered[PROBLEMS], Crossroads.id, Crossroads)
+    campaign = finish(client, body(simulations=40, problem={"id": Crossroads.id}))
+    view = pairs_of(client, campaign, eps=0.4, d_th=0.0, limit=1000)
+    natures = [pair["nature"] for pair in view["pairs"]]
+    order = ["numbers", "category", "scenario category"]
+    assert natures == sorted(natures, key=order.index)
+    assert [natures.count(one) > 0 for one in order] == [True, True, True]
+    assert view["categorical"] == natures.count("category") + natures.count("scenario category")
+    assert view["scenario_only"] == natures.count("scenario category")
+    for pair in view["pairs"]:
+        changed = [name for change in pair["changes"] for name in change["names"]]
+        if pair["nature"] == "scenario category":
+            assert changed == ["scenario.road"]
+        elif pair["nature"] == "category":  # or one step of the whole number
+            assert changed in (["behaviour.detector"], ["behaviour.speed"])
+        else:
+            assert "behaviour.speed" in changed
+            assert pair["distance"] > 0.5 / 9  # more than one step
+    finding = expect(client.get(f"{API}/{campaign}/findings/pairs", params={"eps": 0.4, "d_th": 0.0}))
+    assert finding["more"] == [
+        f"In {view['categorical']} of {view['distinct']} pairs, a category or a step is changed and nothing else; in "
+        f"{view['scenario_only']} of these, it belongs to the scenario"
+    ]
 
 
 def by_chance(job: LeasedJob) -> Completed | JobFailed:

@@ -72,6 +72,22 @@ def test_a_pair_is_near_or_one_step_apart(unsafe: tuple[float, ...], is_pair: bo
     assert numbers(archive) == ([(10, 11)] if is_pair else [])
 
 
+@pytest.mark.parametrize(
+    ("unsafe", "is_categorical"),
+    [
+        (changed(road=1.0), True),
+        (changed(cars=3.0), True),
+        (changed(gap=51.0), False),
+        (changed(road=1.0, gap=50.1), False),
+    ],
+)
+def test_a_categorical_pair_differs_in_a_category_or_a_step_alone(
+    unsafe: tuple[float, ...], is_categorical: bool
+) -> None:
+    (pair,) = find_pairs(archive_of((BASE, False), (unsafe, True)), SPACE, eps=0.9, d_th=0.0).pairs
+    assert pair.is_categorical == is_categorical
+
+
 def test_the_sides_of_a_box_are_one_unit() -> None:
     archive = archive_of((BASE, False), (changed(left=3.1, right=6.1), True))
     (pair,) = find_pairs(archive, SPACE, eps=0.02, d_th=0.0).pairs
