@@ -130,7 +130,9 @@ class Features:
             pairs.append((columns[0], columns[1]))
         array = np.array(orders)
         straight = np.arange(space.dimension)
-        parameters = [parameter.describe() | {"name": ""} for parameter in space.parameters]
+        parameters = [
+            parameter.describe() | {"name": "", "resolution": None} for parameter in space.parameters
+        ]
         if (
             array.shape != (len(orders), space.dimension)
             or not np.issubdtype(array.dtype, np.integer)

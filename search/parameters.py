@@ -36,6 +36,9 @@ _OF_ODD = " (the ODD)"
 DEFAULT_SIGMA_SHARE = 0.1
 """Default standard deviation of a Gaussian mutation, as a share of the parameter's range."""
 
+DEFAULT_RESOLUTION_SHARE = 0.01
+"""Resolution of a number whose problem states none, as a share of its range; at least 1 for an integer."""
+
 MAX_CHOICES = 2**15 - 1
 MAX_INTEGER = 2**53
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")
@@ -70,6 +73,32 @@ def _of_odd(bounds: tuple[float, float] | None) -> str:
 
 
 @dataclass(frozen=True, slots=True)
+class ResolutionByChoice:
+    """The resolution of a number whose meaning depends on a choice, such as a severity on the type of the error.
+
+    Attributes:
+        label: Name of the categorical parameter of the same component.
+        by_choice: Resolution by its choices, each > 0; a choice without one has the default.
+    """
+
+    label: str
+    by_choice: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        for choice, resolution in self.by_choice.items():
+            _check_resolution(f"{self.label}={choice}", resolution)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the resolution as a JSON object."""
+        return {"label": self.label, "by_choice": dict(self.by_choice)}
+
+
+def _check_resolution(name: str, resolution: float) -> None:
+    if not (math.isfinite(resolution) and resolution > 0):
+        raise SpaceError(f"{name}: expected a resolution > 0, got {resolution!r}")
+
+
+@dataclass(frozen=True, slots=True)
 class Number:
     """A number in [low, high]: the common base of `Real` and `Integer`.
 
@@ -82,6 +111,8 @@ class Number:
         title: Display name; empty for the full name in words.
         bounds: Smallest and largest value within an operational design domain (ODD); both are the same for a fixed
             number. None without an ODD. Distances and pictures keep the whole range.
+        resolution: Largest difference that people would call the same, such as 0.1 s, in the number's own unit, or
+            one for each choice of another parameter; None if unstated, see `resolution_at`.
     """
 
     name: str
@@ -91,8 +122,12 @@ class Number:
     sigma: float | None = None
     title: str = field(default="", compare=False, repr=False, kw_only=True)
     bounds: tuple[float, float] | None = field(default=None, repr=False, kw_only=True)
+    resolution: float | ResolutionByChoice | None = field(
+        default=None, compare=False, repr=False, kw_only=True
+    )
     _type: ClassVar[str]
     _least_sigma: ClassVar[float] = 0.0
+    _least_resolution: ClassVar[float] = 0.0
 
     def __post_init__(self) -> None:
         check_name("parameter", self.name)
@@ -107,6 +142,29 @@ class Number:
             raise SpaceError(f"{self.name}: expected sigma > 0, got {self.sigma!r}")
         if self.bounds is not None and not low <= self.bounds[0] <= self.bounds[1] <= high:
             raise SpaceError(f"{self.name}: expected bounds in [{low:g}, {high:g}], got {self.bounds!r}")
+        if isinstance(self.resolution, int | float):
+            _check_resolution(self.name, self.resolution)
+
+    def stated_resolution(self, choice: str | None) -> float | None:
+        """Return the stated resolution; None if there is none.
+
+        Args:
+            choice: The choice of the parameter that a `ResolutionByChoice` names; None if there is none.
+        """
+        if isinstance(self.resolution, ResolutionByChoice):
+            return None if choice is None else self.resolution.by_choice.get(choice)
+        return self.resolution
+
+    def resolution_at(self, choice: str | None) -> float:
+        """Return the stated resolution, by default 1% of the range; that of an integer is at least 1.
+
+        Args:
+            choice: As for `stated_resolution`.
+        """
+        stated = self.stated_resolution(choice)
+        return max(
+            DEFAULT_RESOLUTION_SHARE * self.range if stated is None else stated, self._least_resolution
+        )
 
     @property
     def range(self) -> float:
@@ -206,9 +264,16 @@ class Number:
         return whole if everything else replace(whole, bounds=(least, most))
 
     def describe(self) -> dict[str, Any]:
-        """Return name, type, range and unit as a JSON object, and ``odd`` if there is a limit."""
+        """Return name, type, range and unit as a JSON object, and an ODD and a resolution if there are any."""
         about = {"name": self.name, "type": self._type, "low": self.low, "high": self.high, "unit": self.unit}
-        return about if self.bounds is None else about | {"odd": self.odd}
+        if self.bounds is not None:
+            about |= {"odd": self.odd}
+        match self.resolution:
+            case None:
+                return about
+            case ResolutionByChoice():
+                return about | {"resolution": self.resolution.describe()}
+        return about | {"resolution": self.resolution}
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,6 +316,7 @@ class Integer(Number):
     high: int
     _type: ClassVar[str] = "integer"
     _least_sigma: ClassVar[float] = 0.5  # rounding would undo most of the steps of a smaller one
+    _least_resolution: ClassVar[float] = 1.0
 
     def __post_init__(self) -> None:
         check_name("parameter", self.name)

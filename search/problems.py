@@ -16,7 +16,9 @@ from collections.abc import Sequence
 from brink.search.algorithm import Scored
 from brink.search.space import Categorical, Component, FloatArray, Real, SearchSpace
 
-MTQ_SPACE = SearchSpace((Component("x", (Real("x", 0.0, 1.0),)), Component("y", (Real("y", 0.0, 1.0),))))
+MTQ_SPACE = SearchSpace(
+    tuple(Component(name, (Real(name, 0.0, 1.0, resolution=0.002),)) for name in ("x", "y"))
+)
 
 MTQ_RADIUS = 0.05
 """Neighbourhood radius for MTQ, as in the authors' code."""

@@ -1,6 +1,7 @@
 """Search spaces as plain values: ``{"speed": (5.0, 30.0, "m/s"), "lanes": range(2, 5), "road": ["dry", "wet"]}``.
 
-A pair or triple is a real number's range with its unit, a `range` a whole number's, a list of texts a choice. A space
+A pair or triple is a real number's range with its unit; a fourth value is its resolution, the largest difference that
+people would call the same. A `range` a whole number's, a list of texts a choice. A space
 of several components has one such mapping for each. `space_from` reads what `SearchSpace.describe` returns.
 """
 
@@ -8,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, TypeAlias
 
 from brink.search.errors import SpaceError
-from brink.search.parameters import Categorical, Integer, Parameter, Real
+from brink.search.parameters import Categorical, Integer, Parameter, Real, ResolutionByChoice
 from brink.search.space import Component, SearchSpace
 
 DeclaredSpace: TypeAlias = "SearchSpace | Sequence[Parameter] | Mapping[str, Any]"
@@ -17,8 +18,8 @@ DeclaredSpace: TypeAlias = "SearchSpace | Sequence[Parameter] | Mapping[str, Any
 ONLY_COMPONENT: Final = "parameters"
 """Name of the component of a space that is written without components."""
 _EXPECTED: Final = (
-    "expected a range such as (0.0, 1.0) or (5.0, 30.0, 'm/s'), whole numbers such as range(0, 5), "
-    "or choices such as ['dry', 'wet']"
+    "expected a range such as (0.0, 1.0), (5.0, 30.0, 'm/s') or (5.0, 30.0, 'm/s', 0.1), whole numbers such as "
+    "range(0, 5), or choices such as ['dry', 'wet']"
 )
 
 
@@ -74,6 +75,8 @@ def _parameter(name: str, declared: Any) -> Parameter:
             return Real(name, float(low), float(high))
         case [low, high, str(unit)] if _are_numbers(low, high):
             return Real(name, float(low), float(high), unit)
+        case [low, high, str(unit), resolution] if _are_numbers(low, high, resolution):
+            return Real(name, float(low), float(high), unit, resolution=float(resolution))
         case [*choices] if choices and all(isinstance(choice, str) for choice in choices):
             return Categorical(name, tuple(choices))
     raise SpaceError(f"{name}: {_EXPECTED}; got {declared!r}")
@@ -112,15 +115,32 @@ def _described_parameter(described: Mapping[str, Any]) -> Parameter:
     match described["type"]:
         case "real":
             parameter = Real(
-                name, float(described["low"]), float(described["high"]), described.get("unit", "")
+                name,
+                float(described["low"]),
+                float(described["high"]),
+                described.get("unit", ""),
+                resolution=_described_resolution(described),
             )
         case "integer":
-            parameter = Integer(name, described["low"], described["high"], described.get("unit", ""))
+            parameter = Integer(
+                name,
+                described["low"],
+                described["high"],
+                described.get("unit", ""),
+                resolution=_described_resolution(described),
+            )
         case "categorical":
             parameter = Categorical(name, tuple(described["choices"]))
         case other:
             raise SpaceError(f"{name}: expected the type real, integer or categorical, got {other!r}")
     return parameter.limited(described["odd"]) if "odd" in described else parameter
+
+
+def _described_resolution(described: Mapping[str, Any]) -> float | ResolutionByChoice | None:
+    resolution = described.get("resolution")
+    if isinstance(resolution, Mapping):
+        return ResolutionByChoice(str(resolution["label"]), dict(resolution["by_choice"]))
+    return None if resolution is None else float(resolution)
 
 
 def flat_values(values: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

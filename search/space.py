@@ -26,6 +26,7 @@ from brink.search.parameters import (
     Number,
     Parameter,
     Real,
+    ResolutionByChoice,
     RespectsLimits,
     Value,
     Values,
@@ -106,6 +107,7 @@ class Component:
         object.__setattr__(self, "by_name", {p.name: p for p in self.parameters})
         self._check_constraints(blocks, rules)
         self._check_interchangeable()
+        self._check_resolutions()
         owned = {name for rule in rules for name in rule.names}
         free = tuple(p for p in self.parameters if isinstance(p, Number) and p.name not in owned)
         object.__setattr__(self, "_blocks", blocks)
@@ -173,6 +175,50 @@ class Component:
                 raise SpaceError(
                     f"{where}: expected {', '.join(same)} to have the same type, range and choices"
                 )
+
+    def _check_resolutions(self) -> None:
+        for parameter in self.parameters:
+            if isinstance(parameter, Categorical) or not isinstance(parameter.resolution, ResolutionByChoice):
+                continue
+            label = self.by_name.get(parameter.resolution.label)
+            if not isinstance(label, Categorical):
+                raise SpaceError(
+                    f"component {self.name}: expected the resolution of {parameter.name} to depend on a categorical "
+                    f"parameter of the component, got {parameter.resolution.label!r}"
+                )
+            for choice in parameter.resolution.by_choice:
+                if choice not in label.choices:
+                    known = did_you_mean(choice, label.choices)
+                    raise SpaceError(
+                        f"component {self.name}: the resolution of {parameter.name} names an unknown choice "
+                        f"{choice!r} of {label.name}{known}"
+                    )
+
+    def _deciding_choice(self, number: Number, vector: FloatArray) -> str | None:
+        """Return the choice in a vector on which the resolution of a number depends; None if it depends on none."""
+        if not isinstance(number.resolution, ResolutionByChoice):
+            return None
+        names = [parameter.name for parameter in self.parameters]
+        label = self.by_name[number.resolution.label]
+        return str(label.decode(float(vector[names.index(label.name)])))
+
+    def resolutions(self, vector: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return the resolution of each number of a valid vector, and whether the problem states it.
+
+        Returns:
+            Resolutions in the numbers' own units, 1 and stated for a category, both of shape ``(dimension,)``.
+
+        Raises:
+            SpaceError: The vector has the wrong shape.
+        """
+        self._values(vector)
+        resolutions, stated = np.ones(self.dimension), np.ones(self.dimension, np.bool_)
+        for place, parameter in enumerate(self.parameters):
+            if not isinstance(parameter, Categorical):
+                choice = self._deciding_choice(parameter, vector)
+                resolutions[place] = parameter.resolution_at(choice)
+                stated[place] = parameter.stated_resolution(choice) is not None
+        return resolutions, stated
 
     def limited(self, limits: Mapping[str, object]) -> Self:
         """Return the component within an operational design domain.
@@ -475,6 +521,18 @@ class SearchSpace:
         """Return which numbers of a valid row are dormant, shape ``(dimension,)``."""
         vectors = self.split(row)
         return np.concatenate([c.dormant(v) for c, v in zip(self.components, vectors, strict=True)])
+
+    def resolutions(self, row: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return the resolution of each number of a valid row, and whether the problem states it.
+
+        A resolution is the largest difference that people would call the same. Without one stated, it is 1% of the
+        range, and at least 1 for an integer.
+
+        Returns:
+            Resolutions in the numbers' own units, 1 and stated for a category, both of shape ``(dimension,)``.
+        """
+        parts = [c.resolutions(v) for c, v in zip(self.components, self.split(row), strict=True)]
+        return np.concatenate([one for one, _ in parts]), np.concatenate([stated for _, stated in parts])
 
     def sample_component(self, index: int, rng: np.random.Generator) -> FloatArray:
         """Draw a random valid vector of one component."""

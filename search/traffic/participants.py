@@ -19,7 +19,7 @@ from enum import StrEnum
 from typing import Any, Final, TypeAlias
 
 from brink.search.errors import SpaceError
-from brink.search.parameters import Categorical, Parameter, Real
+from brink.search.parameters import Categorical, Parameter, Real, ResolutionByChoice
 
 MAX_PARTICIPANTS: Final = 6
 MIN_ACTIONS: Final = 2
@@ -27,6 +27,11 @@ MAX_ACTIONS: Final = 8
 MIN_DURATION_S: Final = 0.5
 MAX_DURATION_S: Final = 6.0
 REACH_M: Final = 55.0
+RESOLUTION_M: Final = 0.25
+RESOLUTION_S: Final = 0.1
+RESOLUTION_MPS: Final = 0.25
+RESOLUTION_RAD: Final = 0.05
+_RESOLUTION_OF_UNIT: Final[Mapping[str, float]] = {"m/s2": 0.1, "m/s": 0.1, "lanes": 0.05}
 """Participants start within this distance of the ego, along and across the road: up to the nearest crossroads."""
 NONE: Final = "none"
 
@@ -134,6 +139,11 @@ MAGNITUDES: Final[Mapping[Action, Magnitude]] = {
         low=0.0, high=3.0, unit="m/s2", meaning="deceleration while it moves into the ego's lane"
     ),
     Action.CROSS: Magnitude(low=0.8, high=3.0, unit="m/s", meaning="speed at which it walks across"),
+}
+_MAGNITUDE_RESOLUTIONS: Final[Mapping[str, float]] = {
+    action.value: _RESOLUTION_OF_UNIT[limits.unit] / (limits.high - limits.low)
+    for action, limits in MAGNITUDES.items()
+    if limits.unit
 }
 VEHICLE_ACTIONS: Final = tuple(action for action in Action if action is not Action.CROSS)
 PEDESTRIAN_ACTIONS: Final = (Action.KEEP, Action.ACCELERATE, Action.DECELERATE, Action.BRAKE, Action.CROSS)
@@ -247,16 +257,35 @@ class ParameterNames:
         kinds, actions = (tuple(map(str, choices)) for choices in (KIND_CHOICES, ACTION_CHOICES))
         parameters: list[Parameter] = [
             Categorical(self.kind, kinds, title=f"{who}: kind"),
-            Real(station, -REACH_M, REACH_M, "m", title=f"{who}: start along the road"),
-            Real(offset, -REACH_M, REACH_M, "m", title=f"{who}: start to the left"),
-            Real(heading, -math.pi, math.pi, "rad", title=f"{who}: heading at the start"),
-            Real(speed, 0.0, max(MAX_SPEEDS_MPS.values()), "m/s", title=f"{who}: speed at the start"),
+            Real(
+                station, -REACH_M, REACH_M, "m", resolution=RESOLUTION_M, title=f"{who}: start along the road"
+            ),
+            Real(offset, -REACH_M, REACH_M, "m", resolution=RESOLUTION_M, title=f"{who}: start to the left"),
+            Real(
+                heading,
+                -math.pi,
+                math.pi,
+                "rad",
+                resolution=RESOLUTION_RAD,
+                title=f"{who}: heading at the start",
+            ),
+            Real(
+                speed,
+                0.0,
+                max(MAX_SPEEDS_MPS.values()),
+                "m/s",
+                resolution=RESOLUTION_MPS,
+                title=f"{who}: speed at the start",
+            ),
         ]
         for number, (action, duration, magnitude) in enumerate(self.genes, start=1):
             of = f"{who}, action {number}"
             parameters.append(Categorical(action, actions, title=f"{of}: manoeuvre"))
-            parameters.append(Real(duration, 0.0, MAX_DURATION_S, "s", title=f"{of}: duration"))
-            parameters.append(Real(magnitude, 0.0, 1.0, title=f"{of}: magnitude"))
+            parameters.append(
+                Real(duration, 0.0, MAX_DURATION_S, "s", resolution=RESOLUTION_S, title=f"{of}: duration")
+            )
+            resolution = ResolutionByChoice(action, _MAGNITUDE_RESOLUTIONS)
+            parameters.append(Real(magnitude, 0.0, 1.0, resolution=resolution, title=f"{of}: magnitude"))
         return tuple(parameters)
 
     def decode(self, values: Mapping[str, float]) -> Participant | None:

@@ -11,12 +11,14 @@ from typing import Any, ClassVar
 
 from brink.search.algorithm import Measured
 from brink.search.errors import ConfigError
+from brink.search.parameters import ResolutionByChoice
 from brink.search.settings import check_settings, setting
 from brink.search.slots import Slots
 from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.server.errors import nearest
 from brink.server.problems.base import SimulatedProblem, SimulatedSolution, Vectors, wrong_detector
 from brink.server.problems.changes import different
+from brink.server.problems.resolutions import RESOLUTION_M, RESOLUTION_S
 from brink.sim.aeb.braking import PERSON_FRAMES, PERSON_WINDOW
 from brink.sim.aeb.specification import (
     ARRIVAL_S,
@@ -130,9 +132,9 @@ def scenario_component() -> Component:
             Categorical("time_of_day", tuple(item.value for item in TIMES)),
             Categorical("weather", tuple(item.value for item in WEATHERS)),
             Categorical("occluder", tuple(item.value for item in Occluder)),
-            Real("crossing_m", *CROSSING_M, unit="m"),
-            Real("arrival_s", *ARRIVAL_S, unit="s"),
-            Real("oncoming_m", *ONCOMING_M, unit="m"),
+            Real("crossing_m", *CROSSING_M, unit="m", resolution=RESOLUTION_M),
+            Real("arrival_s", *ARRIVAL_S, unit="s", resolution=RESOLUTION_S),
+            Real("oncoming_m", *ONCOMING_M, unit="m", resolution=RESOLUTION_M),
         ),
     )
 
@@ -140,12 +142,16 @@ def scenario_component() -> Component:
 def perturbation_component(count: int, genes: tuple[str, ...] = tuple(CATALOGUE)) -> Component:
     """Return the component of ordered perturbations, each a gene and an intensity that selects its level."""
     pairs = tuple((f"gene_{place}", f"intensity_{place}") for place in range(1, count + 1))
+    levels = {gene: 1.0 / (CATALOGUE[gene].levels - 1) for gene in genes}
     return Component(
         "perturbation",
         tuple(
             parameter
             for gene, intensity in pairs
-            for parameter in (Categorical(gene, genes), Real(intensity, 0.0, 1.0))
+            for parameter in (
+                Categorical(gene, genes),
+                Real(intensity, 0.0, 1.0, resolution=ResolutionByChoice(gene, levels)),
+            )
         ),
         (Slots(pairs, tuple(CATALOGUE[gene].levels for gene in genes)),),
     )

@@ -204,7 +204,9 @@ def scenario_component(params: GymnasiumParams) -> Component | None:
         for name, (low, high) in ranges.items()
     ]
     if params.reset_seeds > 1:
-        parameters.append(Integer(name=_RESET_SEED, low=0, high=params.reset_seeds - 1, unit=""))
+        parameters.append(
+            Integer(name=_RESET_SEED, low=0, high=params.reset_seeds - 1, unit="", resolution=1)
+        )
     return Component(name=SCENARIO, parameters=tuple(parameters)) if parameters else None
 
 
@@ -218,8 +220,8 @@ def behaviour_component(params: GymnasiumParams) -> Component:
                 Categorical(name=prefix + "type", choices=(NO_ERROR, *params.types)),
                 Categorical(name=prefix + "dimension", choices=tuple(shown)),
                 Real(name=prefix + "magnitude", low=-1.0, high=1.0, unit=""),
-                Integer(name=prefix + "from_step", low=0, high=params.steps - 1, unit="steps"),
-                Integer(name=prefix + "steps", low=0, high=params.steps, unit="steps"),
+                Integer(name=prefix + "from_step", low=0, high=params.steps - 1, unit="steps", resolution=1),
+                Integer(name=prefix + "steps", low=0, high=params.steps, unit="steps", resolution=1),
             )
             for prefix in prefixes("perturbation", params.perturbations)
         ]

@@ -26,6 +26,12 @@ from brink.server.problems.error_slots import (
     slots_component,
 )
 from brink.server.problems.requirements import check_requirements, chosen_requirements, requirement_setting
+from brink.server.problems.resolutions import (
+    RESOLUTION_M,
+    RESOLUTION_S,
+    RESOLUTION_SHARE,
+    severity_resolution,
+)
 from brink.sim.adapters.highway.specification import (
     FEWEST_LANES,
     GHOST_DISTANCE_M,
@@ -102,8 +108,11 @@ def scenario_component(roads: Collection[str]) -> Component:
         parameters=(
             Categorical(name="road", choices=tuple(roads)),
             Categorical(name="goal", choices=tuple(goal.value for goal in Goal)),
-            Integer(name="lanes", low=FEWEST_LANES, high=MOST_LANES, unit=""),
-            *(Real(name=name, low=low, high=high, unit="") for name, (low, high) in SHARES.items()),
+            Integer(name="lanes", low=FEWEST_LANES, high=MOST_LANES, unit="", resolution=1),
+            *(
+                Real(name=name, low=low, high=high, unit="", resolution=RESOLUTION_SHARE)
+                for name, (low, high) in SHARES.items()
+            ),
         ),
     )
 
@@ -115,11 +124,29 @@ def errors_component(count: int, duration_s: float) -> Component:
             (
                 Categorical(name=prefix + "type", choices=(NO_ERROR, *(item.value for item in ErrorType))),
                 Categorical(name=prefix + "target", choices=tuple(item.value for item in Target)),
-                Real(name=prefix + "onset_s", low=0.0, high=_ONSET_SHARE * duration_s, unit="s"),
-                Real(name=prefix + "duration_s", low=0.0, high=duration_s, unit="s"),
-                Real(name=prefix + "severity", low=0.0, high=1.0, unit=""),
+                Real(
+                    name=prefix + "onset_s",
+                    low=0.0,
+                    high=_ONSET_SHARE * duration_s,
+                    unit="s",
+                    resolution=RESOLUTION_S,
+                ),
+                Real(name=prefix + "duration_s", low=0.0, high=duration_s, unit="s", resolution=RESOLUTION_S),
+                Real(
+                    name=prefix + "severity",
+                    low=0.0,
+                    high=1.0,
+                    unit="",
+                    resolution=severity_resolution(prefix + "type", MAGNITUDES),
+                ),
                 # From 0 on, because a dormant number is 0; episodes bound it by `GHOST_DISTANCE_M`.
-                Real(name=prefix + "distance_m", low=0.0, high=GHOST_DISTANCE_M[1], unit="m"),
+                Real(
+                    name=prefix + "distance_m",
+                    low=0.0,
+                    high=GHOST_DISTANCE_M[1],
+                    unit="m",
+                    resolution=RESOLUTION_M,
+                ),
             )
             for prefix in prefixes("error", count)
         ]

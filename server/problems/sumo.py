@@ -31,6 +31,12 @@ from brink.server.problems.requirements import (
     chosen_requirements,
     requirement_setting,
 )
+from brink.server.problems.resolutions import (
+    RESOLUTION_MPS2,
+    RESOLUTION_S,
+    RESOLUTION_SHARE,
+    severity_resolution,
+)
 from brink.sim.adapters.sumo.own_files import OwnFiles, OwnFilesError, check_network, vehicle_ids
 from brink.sim.adapters.sumo.specification import (
     INCIDENT_BRAKING_MPS2,
@@ -111,18 +117,24 @@ def traffic_component(params: SumoDriversParams) -> Component:
         if params.network == ANY:
             parameters.append(Categorical(name="network", choices=_NETWORKS))
         parameters += [
-            Real(name="trucks", low=0.0, high=0.4, unit=""),
-            Real(name="imperfection", low=0.0, high=1.0, unit=""),
-            Real(name="signals_s", low=0.0, high=LATEST_SIGNALS_S, unit="s"),
+            Real(name="trucks", low=0.0, high=0.4, unit="", resolution=RESOLUTION_SHARE),
+            Real(name="imperfection", low=0.0, high=1.0, unit="", resolution=RESOLUTION_SHARE),
+            Real(name="signals_s", low=0.0, high=LATEST_SIGNALS_S, unit="s", resolution=RESOLUTION_S),
         ]
     latest_s = min(LATEST_INCIDENT_S, params.duration_s)
     parameters += [
-        Real(name="demand", low=0.2, high=1.0, unit=""),
-        Real(name="automated", low=0.0, high=1.0, unit=""),
+        Real(name="demand", low=0.2, high=1.0, unit="", resolution=RESOLUTION_SHARE),
+        Real(name="automated", low=0.0, high=1.0, unit="", resolution=RESOLUTION_SHARE),
         Categorical(name="surface", choices=tuple(surface.value for surface in RoadSurface)),
         Categorical(name="incident", choices=tuple(incident.value for incident in Incident)),
-        Real(name="incident_s", low=0.0, high=latest_s, unit="s"),
-        Real(name="incident_mps2", low=INCIDENT_BRAKING_MPS2[0], high=INCIDENT_BRAKING_MPS2[1], unit="m/s2"),
+        Real(name="incident_s", low=0.0, high=latest_s, unit="s", resolution=RESOLUTION_S),
+        Real(
+            name="incident_mps2",
+            low=INCIDENT_BRAKING_MPS2[0],
+            high=INCIDENT_BRAKING_MPS2[1],
+            unit="m/s2",
+            resolution=RESOLUTION_MPS2,
+        ),
     ]
     dormant = Dormant(
         label="incident", null_choice=Incident.NONE.value, members=("incident_s", "incident_mps2")
@@ -137,9 +149,21 @@ def error_component(duration_s: float) -> Component:
             (
                 Categorical(name="type", choices=(NO_ERROR, *(kind.value for kind in ErrorType))),
                 Categorical(name="affected", choices=tuple(affected.value for affected in Affected)),
-                Real(name="onset_s", low=0.0, high=min(LATEST_ONSET_S, duration_s), unit="s"),
-                Real(name="duration_s", low=0.0, high=duration_s, unit="s"),
-                Real(name="severity", low=0.0, high=1.0, unit=""),
+                Real(
+                    name="onset_s",
+                    low=0.0,
+                    high=min(LATEST_ONSET_S, duration_s),
+                    unit="s",
+                    resolution=RESOLUTION_S,
+                ),
+                Real(name="duration_s", low=0.0, high=duration_s, unit="s", resolution=RESOLUTION_S),
+                Real(
+                    name="severity",
+                    low=0.0,
+                    high=1.0,
+                    unit="",
+                    resolution=severity_resolution("type", MAGNITUDES),
+                ),
             )
         ]
     )

@@ -21,6 +21,7 @@ from brink.server.problems.error_slots import (
     slots_component,
 )
 from brink.server.problems.requirements import requirement_setting
+from brink.server.problems.resolutions import RESOLUTION_S, severity_resolution
 from brink.server.problems.urban_changes import scenario_changes
 from brink.server.problems.urban_injected import (
     REQUIREMENTS,
@@ -75,9 +76,21 @@ def errors_component(count: int, duration_s: float) -> Component:
                 Categorical(name=prefix + "type", choices=(NO_ERROR, *(item.value for item in ErrorType))),
                 Categorical(name=prefix + "target", choices=tuple(item.value for item in Target)),
                 Categorical(name=prefix + "onset", choices=tuple(item.value for item in Onset)),
-                Real(name=prefix + "onset_s", low=0.0, high=min(LATEST_ONSET_S, duration_s), unit="s"),
-                Real(name=prefix + "duration_s", low=0.0, high=duration_s, unit="s"),
-                Real(name=prefix + "severity", low=0.0, high=1.0, unit=""),
+                Real(
+                    name=prefix + "onset_s",
+                    low=0.0,
+                    high=min(LATEST_ONSET_S, duration_s),
+                    unit="s",
+                    resolution=RESOLUTION_S,
+                ),
+                Real(name=prefix + "duration_s", low=0.0, high=duration_s, unit="s", resolution=RESOLUTION_S),
+                Real(
+                    name=prefix + "severity",
+                    low=0.0,
+                    high=1.0,
+                    unit="",
+                    resolution=severity_resolution(prefix + "type", MAGNITUDES),
+                ),
             )
             for prefix in prefixes("error", count)
         ]

@@ -30,6 +30,7 @@ from brink.search.space import (
 from brink.server.problems.base import BEHAVIOUR, Activity, SimulatedSolution, Vectors
 from brink.server.problems.error_slots import SCENARIO, SlottedBehaviour, interchangeable, prefixes
 from brink.server.problems.requirements import check_requirements, chosen_requirements, requirement_setting
+from brink.server.problems.resolutions import RESOLUTION_PX
 from brink.server.problems.urban_changes import words_of_changes
 from brink.sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
 from brink.sim.catalogue import plugin_ids
@@ -120,9 +121,20 @@ def behaviour_component(duration_s: float, count: int = b.TRAJECTORY_COUNT) -> C
         parameters.append(Categorical(name=prefix + "label", choices=b.TRAJECTORY_LABELS))
         for name, (low, high, unit) in b.trajectory_ranges(duration_s).items():
             if name.endswith("_step"):
-                parameters.append(Integer(name=prefix + name, low=int(low), high=int(high), unit=unit))
+                parameters.append(
+                    Integer(name=prefix + name, low=int(low), high=int(high), unit=unit, resolution=1)
+                )
             else:
-                parameters.append(Real(name=prefix + name, low=low, high=high, unit=unit, sigma=BOX_SIGMA_PX))
+                parameters.append(
+                    Real(
+                        name=prefix + name,
+                        low=low,
+                        high=high,
+                        unit=unit,
+                        sigma=BOX_SIGMA_PX,
+                        resolution=RESOLUTION_PX,
+                    )
+                )
         constraints.append(
             Duration(
                 start=prefix + "t0_step",

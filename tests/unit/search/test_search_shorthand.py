@@ -1,5 +1,6 @@
 """Search spaces as plain values."""
 
+import numpy as np
 import pytest
 
 from brink.search.errors import SpaceError
@@ -32,6 +33,14 @@ def test_a_description_is_read_back() -> None:
     assert space_from(space.describe()) == space
 
 
+def test_the_fourth_value_of_a_range_is_its_resolution() -> None:
+    space = space_of({"speed": (5.0, 30.0, "m/s", 0.5), "gap": (0.0, 40.0, "m")})
+    for read in (space, space_from(space.describe())):
+        resolutions, stated = read.resolutions(np.array([10.0, 20.0]))
+        assert resolutions.tolist() == [0.5, 0.4]
+        assert stated.tolist() == [True, False]
+
+
 @pytest.mark.parametrize(
     ("written", "words"),
     [
@@ -39,6 +48,7 @@ def test_a_description_is_read_back() -> None:
         ({"x": (True, False)}, "x: expected a range such as"),
         ({"x": (0.0, 1.0, 2.0)}, "x: expected a range such as"),
         ({"x": []}, "x: expected a range such as"),
+        ({"x": (0.0, 1.0, "m", 0.0)}, "x: expected a resolution > 0"),
         ({"x": range(0, 9, 2)}, "steps of 1"),
         ({"x": Real("y", 0.0, 1.0)}, "expected a parameter of the same name"),
         ({"a": {"x": (0.0, 1.0)}, "y": (0.0, 1.0)}, "got both"),

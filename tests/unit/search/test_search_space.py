@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from brink.search.errors import SpaceError
+from brink.search.parameters import ResolutionByChoice
 from brink.search.slots import Slots
 from brink.search.space import (
     Categorical,
@@ -386,3 +388,46 @@ def test_slots_that_do_not_fit_their_component_are_rejected(slots: Slots, messag
     parameters = (*SLOTTED.parameters, Integer("count", 0, 1), Categorical("other", ("a", "b", "c")))
     with pytest.raises(SpaceError, match=message):
         Component("perturbation", parameters, (slots,))
+
+
+def errors_with(resolution: float | ResolutionByChoice | None) -> SearchSpace:
+    """Return a space of an error whose severity has a resolution."""
+    kind = Categorical("type", ("none", "miss", "shift"))
+    severity = Real("severity", 0.0, 2.0, resolution=resolution)
+    return SearchSpace((Component("behaviour", (kind, Integer("steps", 0, 900), severity)),))
+
+
+def test_a_resolution_may_depend_on_a_choice() -> None:
+    space = errors_with(ResolutionByChoice("type", {"miss": 0.005}))
+    for choice, resolution, is_stated in ((1, 0.005, True), (2, 0.02, False)):
+        resolutions, stated = space.resolutions(np.array([choice, 5.0, 0.3]))
+        assert resolutions.tolist() == [1.0, 9.0, resolution]
+        assert stated.tolist() == [True, False, is_stated]
+
+
+def test_the_resolution_of_an_integer_is_at_least_1() -> None:
+    space = SearchSpace((Component("a", (Integer("x", 0, 4), Integer("y", 0, 4, resolution=0.2))),))
+    assert space.resolutions(np.array([2.0, 3.0]))[0].tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("resolution", "words"),
+    [
+        (0.0, "severity: expected a resolution > 0"),
+        (math.nan, "severity: expected a resolution > 0"),
+        (ResolutionByChoice("kind", {}), "to depend on a categorical parameter of the component, got 'kind'"),
+        (
+            ResolutionByChoice("steps", {}),
+            "to depend on a categorical parameter of the component, got 'steps'",
+        ),
+        (ResolutionByChoice("type", {"mis": 0.1}), "unknown choice 'mis' of type; did you mean 'miss'?"),
+    ],
+)
+def test_a_wrong_resolution_is_refused(resolution: float | ResolutionByChoice, words: str) -> None:
+    with pytest.raises(SpaceError, match=re.escape(words)):
+        errors_with(resolution)
+
+
+def test_a_resolution_of_a_choice_is_positive() -> None:
+    with pytest.raises(SpaceError, match="type=miss: expected a resolution > 0, got -1"):
+        ResolutionByChoice("type", {"miss": -1.0})

@@ -15,6 +15,7 @@ from support.onnx_file import write_network
 from brink.search.algorithm import Measured, Scored
 from brink.search.analysis.violations import niche_of, signature_of
 from brink.search.errors import ConfigError
+from brink.search.space import Categorical
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import check_submission
 from brink.server.errors import InvalidInput
@@ -32,8 +33,10 @@ from brink.server.problems.catalogue import (
 from brink.server.problems.npc_actions import ORACLES, NpcActions, NpcActionsParams
 from brink.sim import catalogue
 from brink.sim.aeb.specification import AebScenario, Behaviour, Options
+from brink.sim.catalogue import plugin_ids
 from brink.sim.encounter.specification import EncounterScenario
 from brink.sim.perturbations import CATALOGUE
+from brink.sim.urban.detection_errors import MAGNITUDES
 from brink.worker.wire import Completed, WireVerdict
 
 AEB = AebCrossing(AebCrossingParams())
@@ -366,3 +369,28 @@ def test_settings_that_do_not_affect_a_search_are_accepted_but_not_offered() -> 
     for name in ("edge@1", "tolerance@1", "qd@1", "nsga2@1", "minimise@1"):
         assert offered[name].isdisjoint({"radius", "p_th", "z"}), name
     assert make_params(make_algorithm("edge@1").config_type, {"radius": 0.1}, "").radius == 0.1
+
+
+@pytest.mark.parametrize(
+    "problem", [one for one in plugin_ids(PROBLEMS) if one not in ("function@1", "gymnasium@1")]
+)
+def test_problems_state_the_resolution_of_their_numbers(problem: str) -> None:
+    parameters = make_problem(problem, {}).space.parameters
+    unstated = [p.name for p in parameters if not isinstance(p, Categorical) and p.resolution is None]
+    assert unstated == []
+
+
+def test_the_resolution_of_a_severity_is_that_of_its_magnitude() -> None:
+    space = make_problem("urban-errors@1", {}).space
+    names, choices = (
+        list(space.column_names()),
+        dict(zip(space.column_names(), space.parameters, strict=True)),
+    )
+    column, kind = names.index("behaviour.error_1.severity"), choices["behaviour.error_1.type"]
+    assert isinstance(kind, Categorical)
+    row = np.array(space.join(space.sample(np.random.default_rng(1))))
+    for error, magnitude in MAGNITUDES.items():
+        row[names.index("behaviour.error_1.type")] = kind.encode(error.value)
+        scale = abs(magnitude.most - magnitude.none)
+        expected = {"s": 0.1, "m": 0.25, "share": 0.01}[magnitude.unit]
+        assert space.resolutions(row)[0][column] * scale == pytest.approx(expected)
