@@ -60,6 +60,14 @@ class Steps:
         """Return the distance between two rows of shape ``(d,)``."""
         return float(self.metric.between(a[None], b[None])[0, 0])
 
+    def apart(self, rows: FloatArray, others: FloatArray) -> FloatArray:
+        """Return the distance of each row from the other row at its place, shapes ``(n, d)`` to ``(n,)``."""
+        gaps = np.abs(rows - others) / self.space.ranges
+        distances: FloatArray = (np.where(self.space.categorical, rows != others, gaps) * self._share).sum(
+            axis=1
+        )
+        return distances
+
     def lengths(self, a: FloatArray, b: FloatArray, units: Sequence[Unit]) -> FloatArray:
         """Return how much each unit adds to the distance between two rows, shape ``(len(units),)``."""
         gaps = np.abs(a - b) / self.space.ranges

@@ -7,6 +7,7 @@ Source: Geurts, Ernst and Wehenkel 2006.
 """
 
 import importlib.util
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -24,6 +25,19 @@ LEAF: Final = 2
 def is_available() -> bool:
     """Return whether scikit-learn is installed."""
     return importlib.util.find_spec("sklearn") is not None
+
+
+def learning_size(solutions: int, one_in: int) -> int:
+    """Return how many solutions a model has learnt from that learns anew whenever there are so many more.
+
+    Args:
+        solutions: Number of solutions so far.
+        one_in: One more for each of so many solutions, and at least one.
+    """
+    size = 1
+    while (larger := size + max(1, size // one_in)) <= solutions:
+        size = larger
+    return size
 
 
 class Surrogate:
@@ -52,12 +66,27 @@ class Surrogate:
 
     def unsafe(self, rows: FloatArray) -> FloatArray:
         """Return the probabilities of rows of shape ``(n, d)``, shape ``(n,)``, judged in their given order."""
+        total = np.zeros(len(rows))
+        for probabilities in self._by_tree(rows):
+            total += probabilities
+        return total / len(self._trees.estimators_)
+
+    def unsafe_and_deviation(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the probabilities of rows of shape ``(n, d)``, and their standard deviations over the trees.
+
+        Returns:
+            Both of shape ``(n,)``; the probabilities are those of `unsafe`.
+        """
         if not len(rows):
-            return np.empty(0)
+            return np.empty(0), np.empty(0)
+        by_tree = np.array(list(self._by_tree(rows)))
+        return by_tree.mean(axis=0), by_tree.std(axis=0)
+
+    def _by_tree(self, rows: FloatArray) -> Iterator[FloatArray]:
+        """Yield the probabilities that each tree gives; none without rows."""
+        if not len(rows):
+            return
         features = self._features.of_rows(rows)
         # One tree after another takes half the time of the forest's own loop, which prepares for threads.
-        trees = self._trees.estimators_
-        total = np.zeros(len(rows))
-        for tree in trees:
-            total += tree.predict_proba(features, check_input=False)[:, 1]
-        return total / len(trees)
+        for tree in self._trees.estimators_:
+            yield tree.predict_proba(features, check_input=False)[:, 1]

@@ -197,6 +197,11 @@ class Ledger:
         return self.flight[0] if self.flight else ()
 
     @property
+    def flying(self) -> FloatArray:
+        """The candidates in flight as rows, shape ``(in_flight, d)``."""
+        return candidate_rows((one for generation in self.flight for one in generation), self.space.dimension)
+
+    @property
     def planned_generation(self) -> int:
         """Number of the generation in the queue."""
         return self.generation + len(self.flight)

@@ -26,7 +26,7 @@ from brink.search.features import units_of
 from brink.search.metric import Metric
 from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace
 from brink.search.streams import Stream, generator
-from brink.search.surrogate import Surrogate
+from brink.search.surrogate import Surrogate, learning_size
 
 MAX_TRIES: Final = 3
 """Partners tried for an anchor."""
@@ -47,7 +47,7 @@ _MOST_KEPT: Final = 2_000
 def _with_surrogate(state: EdgeState) -> EdgeState:
     """Return the state with an up-to-date surrogate, which is refitted whenever there are 10% more solutions."""
     archive, known = state.ledger.archive, state.ledger.known
-    size = _learning_size(len(known) + len(archive))
+    size = learning_size(len(known) + len(archive), one_in=10)
     rows = np.concatenate([known.rows, archive.vectors])[:size]
     unsafe = np.concatenate([known.unsafe, archive.unsafe])[:size]
     if (state.surrogate is not None and state.surrogate.size == size) or unsafe.all() or not unsafe.any():
@@ -59,7 +59,7 @@ def _with_surrogate(state: EdgeState) -> EdgeState:
 
 def _with_chance(state: EdgeState) -> EdgeState:
     """Return the state with an estimate, from checked pairs, of where pairs depend on chance."""
-    size = _learning_size(len(state.resolved))
+    size = learning_size(len(state.resolved), one_in=10)
     if size < FEW or (state.chance is not None and state.chance.size == size):
         return state
     brackets = [state.brackets[place] for place in state.resolved[:size]]
@@ -70,13 +70,6 @@ def _with_chance(state: EdgeState) -> EdgeState:
     rng = generator(state.ledger.seed, Stream.EDGE, Draw.CHANCE, size)
     chance = Surrogate(state.ledger.space, rows, chancy, seed=int(rng.integers(2**32, dtype=np.uint64)))
     return replace(state, chance=chance)
-
-
-def _learning_size(solutions: int) -> int:
-    size = 1
-    while (larger := size + max(1, size // 10)) <= solutions:
-        size = larger
-    return size
 
 
 def plan_partners(state: EdgeState, plan: Plan, count: int) -> EdgeState:

@@ -13,8 +13,8 @@ from brink.search.algorithms.edge.plan import Plan
 from brink.search.algorithms.edge.prior import FEW
 from brink.search.algorithms.edge.state import Draw, EdgeState, Purpose, Solutions, Status
 from brink.search.algorithms.ledger import Ledger
+from brink.search.algorithms.pool import random_rows
 from brink.search.pairs import Steps
-from brink.search.space import FloatArray
 from brink.search.streams import Stream, generator
 
 _EXPECTED_HITS: Final = 0.8
@@ -42,7 +42,7 @@ def planned(state: EdgeState) -> EdgeState:
             # What the open brackets need is not spent on exploring meanwhile.
             more = min(max(0, plan.room - to_explore), max(0, math.floor(plan.allowance)))
             plan.wanted = len(plan.rows) + min(plan.room, to_explore) + more
-    for row in _random_rows(ledger, plan.room, rng):
+    for row in random_rows(ledger, plan.room, rng):
         plan.add(row, None, (Purpose.EXPLORE, 0, 0))
     return replace(
         state, ledger=ledger.plan(plan.rows, seed_numbers=plan.seeds), jobs=(*state.jobs, *plan.jobs)
@@ -78,16 +78,6 @@ def _reserve(state: EdgeState) -> float:
         elif purpose is not Purpose.EXPLORE:
             total -= 1
     return total
-
-
-def _random_rows(ledger: Ledger, count: int, rng: np.random.Generator) -> list[FloatArray]:
-    rows: tuple[FloatArray, ...] = ()
-    for _ in range(200):
-        if len(rows) >= count:
-            break
-        drawn = [ledger.space.join(ledger.space.sample(rng)) for _ in range(count - len(rows))]
-        rows = ledger.unseen([*rows, *drawn])
-    return list(rows[:count])
 
 
 def _busy(state: EdgeState, *purposes: Purpose) -> set[tuple[int, int]]:
