@@ -27,6 +27,10 @@ class Stream(IntEnum):
     TOLERANCE = 12
     GUARD = 13
     ERRORS = 14
+    DEEPJANUS = 20
+    STRADDLE = 21
+    BSV = 22
+    NEAREST_OPPOSITE = 23
 
 
 def _sequence(seed: int, stream: int, index: tuple[int, ...]) -> np.random.SeedSequence:

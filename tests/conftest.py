@@ -29,6 +29,7 @@ from xdist.remote import Producer
 from xdist.workermanage import WorkerController
 
 from brink.search import surrogate
+from brink.search.algorithms import pool
 from brink.search.analysis import boosted_trees
 from brink.server.db.engine import Engines, open_engines
 
@@ -117,6 +118,12 @@ def postgres_databases(request: pytest.FixtureRequest) -> Iterator[PostgresDatab
 def few_trees(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the search for pairs grow small forests, where the quality of its choices does not matter."""
     monkeypatch.setattr(surrogate, "TREES", 6)
+
+
+@pytest.fixture
+def small_pools(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let searches choose among few draws, where the quality of their choices does not matter."""
+    monkeypatch.setattr(pool, "FRESH", 15)
 
 
 @pytest.fixture

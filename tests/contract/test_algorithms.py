@@ -26,6 +26,7 @@ REPEAT = "repeat@1"
 EDGE = "edge@1"
 MINIMISE = "minimise@1"
 TOLERANCE = "tolerance@1"
+NEAREST = "nearest-opposite@1"
 NEEDS: dict[str, tuple[type[Any], str]] = {
     SIMOOD: (Slots, "slots"),
     "nsga2@1": (Participants, "participants"),
@@ -77,6 +78,7 @@ def algorithm(plugin_id: str) -> AnyAlgorithm:
 
 def test_the_projects_own_algorithms_are_registered() -> None:
     known = {"mlcshe@1", "ga@1", "random@1", "simood-ga@1", "nsga2@1", "mosat@1", "mumoea@1", EDGE}
+    known |= {"deepjanus@1", "straddle@1", "bsv@1", NEAREST}
     assert known <= set(plugin_ids(GROUP))
 
 
@@ -108,7 +110,13 @@ def supports(plugin_id: str, space: SearchSpace) -> bool:
     return needed is None or any(isinstance(rule, needed[0]) for rule in rules)
 
 
-LONG = [("mumoea@1", "traffic"), ("mosat@1", "traffic"), (EDGE, "traffic"), (EDGE, "mixed"), (EDGE, "errors")]
+LONG = [
+    *itertools.product(
+        ("mumoea@1", "mosat@1", EDGE, NEAREST, "deepjanus@1", "straddle@1", "bsv@1"), ("traffic",)
+    ),
+    (EDGE, "mixed"),
+    (EDGE, "errors"),
+]
 """Combinations that take seconds; NSGA-II, on which two of them build, and edge@1 on other spaces run every time."""
 
 
@@ -119,7 +127,7 @@ LONG = [("mumoea@1", "traffic"), ("mosat@1", "traffic"), (EDGE, "traffic"), (EDG
         for pair in itertools.product(plugin_ids(GROUP), SPACES)
     ],
 )
-@pytest.mark.usefixtures("few_trees")
+@pytest.mark.usefixtures("few_trees", "small_pools")
 def test_algorithm_keeps_its_contract(plugin_id: str, name: str) -> None:
     space = SPACES[name]
     checked = algorithm(plugin_id)
@@ -136,7 +144,7 @@ def test_algorithm_keeps_its_contract(plugin_id: str, name: str) -> None:
         budget=budget,
         config=config_for(checked, space),
         ends_itself=plugin_id in {SIMOOD, MINIMISE},
-        repeats=plugin_id in {REPEAT, EDGE, MINIMISE, TOLERANCE, "qd@1"},
+        repeats=plugin_id in {REPEAT, EDGE, MINIMISE, TOLERANCE, NEAREST, "qd@1"},
     )
     assert len(run.generations) >= 2
 
