@@ -27,6 +27,7 @@ class Stream(IntEnum):
     TOLERANCE = 12
     GUARD = 13
     ERRORS = 14
+    THRESHOLDS = 15
     DEEPJANUS = 20
     STRADDLE = 21
     BSV = 22
