@@ -1,14 +1,21 @@
-"""CPU time of a generation step of a search, by the size of its archive."""
+"""CPU time of a generation step by the size of the archive, and of whole searches beside their simulations."""
 
 import statistics
 import time
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
-from benchmarks.measurement import Row, at_most
+from benchmarks.finders import FINDERS
+from benchmarks.measurement import Row, at_most, under
+from brink.search.algorithm import AnyAlgorithm, Evaluation, ask_all
 from brink.search.archive import Archive, Neighbourhood
+from brink.search.space import SearchSpace
 from brink.search.streams import Stream, generator
+from brink.search.testing import synthetic_verdicts
+from brink.server.problems.catalogue import make_algorithm
+from brink.server.problems.urban_errors import UrbanErrors, UrbanErrorsParams
 from brink.server.problems.urban_injected import UrbanInjected, UrbanInjectedParams
 
 SIZES = (200, 1_300, 5_000, 20_000)
@@ -16,6 +23,44 @@ NEW_SOLUTIONS = 60
 UNSAFE = 0.35
 TARGETS_MS = {1_300: 5.0, 20_000: 80.0}
 """Longest allowed median time of a generation step, by archive size."""
+DRIVE_MS = 37.0
+"""CPU time of a simulated drive of the urban problems, see `python -m benchmarks sim`."""
+MOST_PERCENT = 5.0
+"""Largest CPU time of a search, in percent of that of its simulations."""
+
+
+def measure_searches(ids: Sequence[str] = tuple(FINDERS.values()), budget: int = 1_300) -> Iterator[Row]:
+    """Time whole searches with synthetic verdicts, in percent of the CPU time that their simulations would take.
+
+    Args:
+        ids: Ids of the algorithms.
+        budget: Simulations of each search.
+    """
+    space = UrbanErrors(UrbanErrorsParams()).space
+    for name in ids:
+        algorithm: AnyAlgorithm = make_algorithm(name)
+        _search_cpu_s(algorithm, space, 150)  # loads what the algorithm needs
+        spent_s, generations = _search_cpu_s(algorithm, space, budget)
+        yield under(
+            f"% of the CPU time of {budget:,} simulations: {name}",
+            100 * spent_s / (budget * DRIVE_MS / 1e3),
+            MOST_PERCENT,
+            f"{spent_s:.2f} s in {generations} generations",
+        )
+
+
+def _search_cpu_s(algorithm: AnyAlgorithm, space: SearchSpace, budget: int) -> tuple[float, int]:
+    """Return the CPU time of a search without that of its verdicts, and the number of generations."""
+    verdicts = synthetic_verdicts(space)
+    started_s, judged_s = time.process_time(), 0.0
+    state: Any = algorithm.start(space, algorithm.config_type(), seed=1, budget=budget)
+    while not algorithm.finished(state):
+        state, _ = ask_all(algorithm, state)
+        before_s = time.process_time()
+        evaluations: dict[int, Evaluation] = {one.number: verdicts(one) for one in state.pending}
+        judged_s += time.process_time() - before_s
+        state = algorithm.tell(state, evaluations)
+    return time.process_time() - started_s - judged_s, state.generation
 
 
 def measure_steps(sizes: Sequence[int] = SIZES, repeats: int = 15, seed: int = 1) -> Iterator[Row]:

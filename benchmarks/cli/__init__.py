@@ -8,7 +8,7 @@ import typer
 from benchmarks.cli.errors import errors
 from benchmarks.cli.monitors import guard, monitor_accuracy
 from benchmarks.cli.perception import detector, perturbations, rendering, simood
-from benchmarks.cli.searches import mumoea, search
+from benchmarks.cli.searches import finders, mumoea, search
 from benchmarks.cli.service import archive, chaos, dashboard, queue, scale, soak, stalls, turns
 from benchmarks.cli.statistics import coverage
 from benchmarks.cli.urban import control, difficulty, drivers, sim
@@ -34,6 +34,7 @@ for _command in (
     rendering,
     perturbations,
     search,
+    finders,
     mumoea,
     monitor_accuracy,
     guard,

@@ -1,4 +1,4 @@
-from benchmarks.search import measure_steps
+from benchmarks.search import measure_searches, measure_steps
 
 
 def test_measurement_has_a_row_for_each_size_with_its_target() -> None:
@@ -6,3 +6,13 @@ def test_measurement_has_a_row_for_each_size_with_its_target() -> None:
     assert [row.target for row in rows] == ["", "at most 5"]
     assert [row.met for row in rows] == [None, rows[1].value <= 5]
     assert all(row.value > 0 for row in rows)
+
+
+def test_whole_searches_are_measured_without_their_simulations() -> None:
+    rows = list(measure_searches(("random@1", "nearest-opposite@1"), budget=80))
+    assert [row.what for row in rows] == [
+        "% of the CPU time of 80 simulations: random@1",
+        "% of the CPU time of 80 simulations: nearest-opposite@1",
+    ]
+    assert all(row.value > 0 for row in rows)
+    assert rows[0].note.endswith("in 2 generations")
