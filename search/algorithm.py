@@ -188,6 +188,9 @@ class Algorithm(Protocol[C, S]):
     - ``pairs``: safe and unsafe solutions that are near each other, best with one episode seed
       (`Candidate.seed_number`): differences of a pair with two seeds cannot be reverted one by one. They are shown at
       its settings ``eps`` and ``d_th`` if it has them. Repeated solutions with other seeds count as checks of a pair.
+    - ``thresholds``: lines, which are solutions that differ in one unit and in nothing else. At least eight of a line
+      have an episode seed of their own, which no other candidate shares; those that share one only show where to
+      expect the change. Without chance, a safe and an unsafe solution within two resolutions are enough.
 
     Attributes:
         id: Versioned plug-in id, such as ``mlcshe@1``.

@@ -47,6 +47,7 @@ from brink.server.campaigns.pairs import Pairs
 from brink.server.campaigns.reported import ReportedResults
 from brink.server.campaigns.result_check import ResultChecks
 from brink.server.campaigns.service import CampaignService
+from brink.server.campaigns.thresholds import Thresholds
 from brink.server.campaigns.tolerance import Tolerances
 from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
@@ -305,6 +306,7 @@ def _context(
         pair_pictures=SingleFlightCache(pair_pictures.KEPT, drawing),
         pairs=Pairs(engines=engines, threads=analyses),
         tolerances=Tolerances(engines=engines, threads=analyses),
+        thresholds=Thresholds(engines=engines, threads=analyses),
         experiment_pairs=PairCache(engines=engines, archives=archives, threads=scores),
         films=Films(engines=engines),
         seeds=seeds,

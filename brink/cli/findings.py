@@ -3,7 +3,7 @@
 Commands of single kinds, such as `brink pairs`, print through the same functions.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -13,12 +13,13 @@ from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from brink.api.client import Api
-from brink.api.terminal import plain_table
+from brink.api.terminal import echo, plain_table
 from brink.cli.options import (
     AsJson,
     CampaignId,
     Database,
     Server,
+    check_picture,
     console,
     place_option,
     print_json,
@@ -27,12 +28,15 @@ from brink.cli.options import (
     with_api,
 )
 from brink.report.tables import finding_markdown
+from brink.report.thresholds import draw_thresholds
 from brink.server.errors import InvalidInput
 from brink.server.findings.finding import Finding, Findings, Step
 from brink.server.findings.table import FORMATS, Table
 from brink.server.findings.words import full_sentence
 
 CHAINS_SHOWN: Final = 10
+DRAWN: Final[Mapping[str, Callable[[Finding, Path], None]]] = {"thresholds": draw_thresholds}
+"""What draws findings of a kind to a file; other pictures have commands of their own."""
 
 
 def findings(
@@ -46,6 +50,10 @@ def findings(
     out: Annotated[
         Path | None, typer.Option(help="File to write: .md, or with a kind .csv, .jsonl or .parquet.")
     ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Draw it, for a kind that has a picture, such as thresholds (.png, .svg or .pdf)."),
+    ] = None,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
@@ -55,7 +63,10 @@ def findings(
     Example: brink findings 3f2a
 
     Example: brink findings 3f2a pairs --out pairs.csv
+
+    Example: brink findings 3f2a thresholds --picture thresholds.png
     """
+    draw = None if picture is None else _drawn(picture, kind)
     path = f"/campaigns/{campaign}/findings" + (f"/{kind}" if kind else "")
     if out is not None:
         _check_file(out, kind)
@@ -67,7 +78,10 @@ def findings(
             return
     document = with_api(server, database, lambda api: api.get(path))
     found = [Finding.model_validate(document)] if kind else Findings.model_validate(document).findings
-    if out is not None:
+    if draw is not None and picture is not None:
+        draw(found[0], picture)
+        echo(picture)
+    elif out is not None:
         out.write_text("\n".join(finding_markdown(one) for one in found), encoding="utf-8")
     elif as_json:
         print_json(document)
@@ -77,6 +91,22 @@ def findings(
         everything, place = Findings.model_validate(document), place_option(server, database)
         print_findings(console(), everything, place)
         print_steps(console(), everything.steps, place)
+
+
+def _drawn(picture: Path, kind: str | None) -> Callable[[Finding, Path], None]:
+    """Return what draws findings of a kind.
+
+    Raises:
+        InvalidInput: The file cannot be written, or the kind has no picture.
+    """
+    check_picture(picture)
+    draw = DRAWN.get(kind or "")
+    if draw is None:
+        known = ", ".join(sorted(DRAWN))
+        raise InvalidInput.at(
+            "--picture", f"expected a kind that has a picture ({known}), got {kind or 'none'}"
+        )
+    return draw
 
 
 def _check_file(out: Path, kind: str | None) -> None:

@@ -17,6 +17,7 @@ from brink.report.combinations import draw_chains
 from brink.report.comparison import compared_archives
 from brink.report.figures import VIOLATION_TYPES, Drawing
 from brink.report.pair_pictures import write_pair
+from brink.report.thresholds import draw_thresholds
 from brink.report.tolerance import requirement_document
 from brink.report.violations import draw_gallery, figure_types
 from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
@@ -245,6 +246,17 @@ class _CombinationFiles(KindFiles):
         return await draw_chains(self._view, drawing, CHAINS_DRAWN)
 
 
+class _ThresholdFiles(KindFiles):
+    """How likely a violation is along the unit of each threshold."""
+
+    async def draw(self, drawing: Drawing) -> list[Path]:
+        if self._finding.view is None:
+            return []
+        file = drawing.folder / "thresholds.png"
+        await asyncio.to_thread(draw_thresholds, self._finding, file)
+        return [file]
+
+
 class _ViolationFiles(KindFiles):
     """Every violation, figures of the types over time, and an example of each of the first types."""
 
@@ -332,6 +344,7 @@ def _draw_fronts(
 FILES: Final[Mapping[str, type[KindFiles]]] = {
     "pairs": PairFiles,
     "boundary": _BoundaryFiles,
+    "thresholds": _ThresholdFiles,
     "tolerances": _ToleranceFiles,
     "combinations": _CombinationFiles,
     "violations": _ViolationFiles,

@@ -18,6 +18,7 @@ from brink.report.combinations import draw_chains
 from brink.report.comparison import compared_archives
 from brink.report.figures import Drawing, campaign_figure, write_replays
 from brink.report.pair_pictures import write_pair
+from brink.report.thresholds import draw_thresholds
 from brink.report.violations import draw_gallery
 from brink.search.analysis.comparison import control_summaries
 from brink.search.errors import TooManyPairs
@@ -187,6 +188,24 @@ class _Tolerances(KindPictures):
         return replace(section, pictures=album("tolerance.png", words))
 
 
+class _Thresholds(KindPictures):
+    """How likely a violation is along the unit of each threshold."""
+
+    async def draw(self, drawing: Drawing) -> Sequence[Path]:
+        if self._finding.view is None:
+            return []
+        drawing.show("drawing thresholds", 0, 0)
+        file = drawing.folder / "thresholds.png"
+        await asyncio.to_thread(draw_thresholds, self._finding, file)
+        return [file]
+
+    def illustrate(self, section: Section, album: Album) -> Section:
+        words = (
+            "Probability of a violation along one number, with every drive that says so; grey: from 20 to 80%"
+        )
+        return replace(section, pictures=album("thresholds.png", words))
+
+
 class _Violations(KindPictures):
     """An example of each of the first types of violations."""
 
@@ -273,6 +292,7 @@ class _Boundary(KindPictures):
 
 PICTURES: Final[Mapping[str, type[KindPictures]]] = {
     "pairs": _Pairs,
+    "thresholds": _Thresholds,
     "tolerances": _Tolerances,
     "violations": _Violations,
     "combinations": _Combinations,

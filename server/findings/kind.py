@@ -121,6 +121,7 @@ class Kind(ABC):
         title: Heading.
         rank: Of the kinds that a campaign is for, the one with the lowest rank comes first.
         is_met: Whether any campaign may come across it.
+        is_silent: Whether nothing is said of it where a campaign that is not for it came across none.
         is_exclusive: Whether a campaign that is for this has no other findings, because its simulations are chosen
             so that they say nothing else.
         settings: What it can be asked with; every setting has a default.
@@ -130,6 +131,7 @@ class Kind(ABC):
     title: ClassVar[str]
     rank: ClassVar[int] = 50
     is_met: ClassVar[bool] = False
+    is_silent: ClassVar[bool] = False
     is_exclusive: ClassVar[bool] = False
     settings: ClassVar[type[Settings]] = Settings
 

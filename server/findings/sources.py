@@ -7,6 +7,7 @@ from brink.server.campaigns.boundaries import Boundaries
 from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.pairs import Pairs
 from brink.server.campaigns.reported import ReportedResults
+from brink.server.campaigns.thresholds import Thresholds
 from brink.server.campaigns.tolerance import Tolerances
 from brink.server.db.engine import Engines
 from brink.server.read_threads import ReadThreads
@@ -27,3 +28,4 @@ class Sources:
     reported: ReportedResults
     pairs: Pairs
     tolerances: Tolerances
+    thresholds: Thresholds

@@ -42,9 +42,12 @@ async def find_all(sources: Sources, campaign: Campaign, *, rows: int = ROWS) ->
     found = []
     if len(known.read_archive.archive):
         subjects = known.subjects(rows)
-        found = list(
-            await asyncio.gather(*(find_safely(kind, subject) for kind, subject in subjects.items()))
-        )
+        all_found = await asyncio.gather(*(find_safely(kind, subject) for kind, subject in subjects.items()))
+        found = [
+            one
+            for kind, one in zip(subjects, all_found, strict=True)
+            if not (one.is_empty and kind.is_silent and one.role is Role.MET)
+        ]
     words, more = await _sentences(known, found)
     if campaign.failed and not _all_failed(campaign):  # otherwise the words say it already
         words = f"{words}; {_failures(campaign)}"

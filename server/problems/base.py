@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.search.algorithm import Evaluation, Measure, Measured, Scored
+from brink.search.parameters import Value
 from brink.search.space import SearchSpace
 from brink.search.traffic.participants import RoadLimits
 from brink.sim.catalogue import plugin_ids
@@ -199,6 +200,24 @@ class BaseProblem(ABC):
             choices: Choices of other parameters, by component.parameter.
         """
         return None
+
+    def scale_of(self, name: str, values: Mapping[str, Mapping[str, Value]]) -> SeverityScale | None:
+        """Return the physical scale of a number in a solution, if that is not the number itself; None if it is.
+
+        Args:
+            name: The number, as component.parameter.
+            values: The decoded solution.
+        """
+        return None
+
+    def traits(self, name: str, values: Mapping[str, Mapping[str, Value]]) -> tuple[str, ...]:
+        """Return what makes a solution in which a number decides one of a kind, such as the error and the road.
+
+        Args:
+            name: The number, as component.parameter.
+            values: The decoded solution.
+        """
+        return (name,)
 
     def error_words(self, choices: Mapping[str, str], magnitude: str) -> str:
         """Describe an error that has a `severity_scale`, such as ``not reporting the lead for 1.3 s``.

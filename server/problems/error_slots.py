@@ -32,6 +32,7 @@ from brink.sim.urban.detection_errors import ERROR_STEPS
 NO_ERROR: Final = "none"
 """The type of an error that is none."""
 SCENARIO: Final = "scenario"
+_ROAD_SHAPE: Final = "road_curve"
 
 Values = Mapping[str, Value]
 E = TypeVar("E")
@@ -193,6 +194,21 @@ class SlottedBehaviour(SimulatedProblem):
                 parts.leave_out(BEHAVIOUR, slot.names if slot in present else slot.names[1:])
                 parts.silence(BEHAVIOUR, slot.type, slot.none, slot.numbers)
         return Activity(active=parts.active, effective=parts.effective, idle=() if acted else (BEHAVIOUR,))
+
+    def slot_of(self, name: str) -> Slot | None:
+        """Return the slot of a parameter, given as component.parameter; None if it is in none."""
+        own = name.removeprefix(f"{BEHAVIOUR}.")
+        return next((slot for slot in self.slots if own != name and own in slot.names), None)
+
+    def traits(self, name: str, values: Mapping[str, Values]) -> tuple[str, ...]:
+        """Return the parameter of a slot with the choices there, such as type and target, and the road."""
+        slot, road = self.slot_of(name), str(values.get(SCENARIO, {}).get(_ROAD_SHAPE, ""))
+        if slot is None:
+            return tuple(filter(None, (name, road)))
+        chosen = [values[BEHAVIOUR][one] for one in slot.names]
+        choices = (one for one in chosen if isinstance(one, str))
+        own = name.removeprefix(f"{BEHAVIOUR}.{slot.prefix}")
+        return tuple(filter(None, (own, *choices, road)))
 
 
 class ErrorSlots(SlottedBehaviour, Generic[E]):
@@ -383,7 +399,16 @@ class PerceptionErrors(ErrorSlots[P]):
 
     def severity_scale(self, choices: Mapping[str, str]) -> SeverityScale | None:
         """Return the scale of severities, given the type of the first error."""
-        kind = choices.get(self.first("type"), NO_ERROR)
+        return self._scale(choices.get(self.first("type"), NO_ERROR))
+
+    def scale_of(self, name: str, values: Mapping[str, Values]) -> SeverityScale | None:
+        """Return the scale of a severity, given the type of its error."""
+        slot = self.slot_of(name)
+        if slot is None or name != f"{BEHAVIOUR}.{slot.prefix}severity":
+            return None
+        return self._scale(str(values[BEHAVIOUR][slot.type]))
+
+    def _scale(self, kind: str) -> SeverityScale | None:
         if kind == NO_ERROR:
             return None
         magnitude = self.magnitudes[kind]

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from brink.search.algorithm import Measure
+from brink.search.parameters import Value
 from brink.search.settings import check_settings, setting
 from brink.search.space import (
     Categorical,
@@ -27,7 +28,7 @@ from brink.search.space import (
     Real,
     SearchSpace,
 )
-from brink.server.problems.base import BEHAVIOUR, Activity, SimulatedSolution, Vectors
+from brink.server.problems.base import BEHAVIOUR, Activity, SeverityScale, SimulatedSolution, Vectors
 from brink.server.problems.error_slots import SCENARIO, SlottedBehaviour, interchangeable, prefixes
 from brink.server.problems.requirements import check_requirements, chosen_requirements, requirement_setting
 from brink.server.problems.resolutions import RESOLUTION_PX
@@ -243,6 +244,12 @@ class UrbanInjected(SlottedBehaviour):
             ended_at_step=min(self._ended_at_step(one) for one in (safe, unsafe)),
             unsafe_ended_at_step=_last_step(unsafe),
         )
+
+    def scale_of(self, name: str, values: Mapping[str, Mapping[str, Value]]) -> SeverityScale | None:
+        """Return the scale of a step, which is a time; None for other numbers."""
+        if not name.endswith("_step"):
+            return None
+        return SeverityScale(unit="s", none=0.0, most=PERCEPTION_STEP_S, meaning="time")
 
     def _ended_at_step(self, one: SimulatedSolution) -> float:
         """Return the perception step at which a drive ended; infinity unless that cut off what was reported."""

@@ -1,11 +1,14 @@
 """A kind of findings that the page does not know is shown from its sentence and its tables."""
 
+import re
+
 import httpx
 import pytest
 from playwright.sync_api import expect as shown
 from support.api import FakeWorker, ball, expect, finish
 from support.bisection import Bisection
 from support.extremes import ExtremesAlgorithm, ExtremesKind
+from support.sweep import Sweep, along_x, by_seed
 
 from brink.server.findings.kind import FINDINGS
 from brink.server.problems.catalogue import ALGORITHMS
@@ -51,3 +54,21 @@ def test_a_toy_algorithm_of_pairs_has_the_pages_of_pairs(
     shown(page.get_by_role("heading", name="Distinct boundary solutions")).to_be_hidden()
     page = visit(origin(own), f"#/campaigns/{campaign}/pairs")
     shown(page.get_by_role("main")).to_contain_text(words)
+
+
+def test_thresholds_have_a_curve_each(
+    own: httpx.Client, visit: Visits, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(catalogue._registered, ALGORITHMS, {Sweep.id: Sweep})
+    rows = along_x(0.0, [0.5, 0.7, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.5] * 3)
+    body = ball(simulations=len(rows), algorithm={"id": Sweep.id, "params": {"rows": rows}})
+    campaign = expect(own.post("/api/v1/campaigns", json=body), 201)["id"]
+    FakeWorker(own, judge=by_seed).work(campaign)
+    (one,) = expect(own.get(f"/api/v1/campaigns/{campaign}/findings/thresholds"))["view"]["thresholds"]
+    page = visit(origin(own), f"#/campaigns/{campaign}")
+    shown(page.get_by_role("region", name="Finding", exact=True)).to_contain_text("1 threshold of 1 kind")
+    card = page.get_by_role("region", name="Thresholds", exact=True)
+    shown(card.get_by_role("img")).to_have_attribute("aria-label", re.compile(re.escape(one["turns"])))
+    shown(card.locator("svg circle")).to_have_count(len(one["dots"]) + 1)
+    shown(card.get_by_role("link", name=str(one["pair"]["unsafe"]["number"]), exact=True)).to_be_visible()
+    shown(page.get_by_role("region", name="What to do next")).to_contain_text("Do both ends hold?")

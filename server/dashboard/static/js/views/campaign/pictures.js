@@ -5,6 +5,7 @@ import { sentence } from "../../format.js";
 import { whenMade } from "../../polling.js";
 import { link } from "../../router.js";
 import { badge, callout, requirementBadge, workerCommand } from "../../parts/elements.js";
+import { thresholdCurves } from "../thresholds.js";
 import { toleranceCurves } from "../tolerance.js";
 
 /**
@@ -123,4 +124,4 @@ function bestPairs(context, id) {
 export const OPENING = { violations: avoidableViolations, pairs: bestPairs };
 
 /** Functions of the context and the campaign's id that return what stands ``above`` and ``below`` the tables, and ``update``. */
-export const IN_CARD = { tolerances: toleranceCurves };
+export const IN_CARD = { thresholds: thresholdCurves, tolerances: toleranceCurves };

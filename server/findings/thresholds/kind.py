@@ -1,0 +1,283 @@
+"""Thresholds as a kind of finding: where along one unit drives turn from safe to unsafe."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from brink.search.analysis.confirmation import Confirmation
+from brink.search.thresholds import Outcome
+from brink.server.campaigns.store import ENDED
+from brink.server.campaigns.thresholds import CampaignThresholds, find_stored_thresholds
+from brink.server.findings.finding import Finding, Role, Step, StepRequest, Term
+from brink.server.findings.kind import MOST_RINGS, Kind, Listed, Subject
+from brink.server.findings.pairs.views import ComponentPart
+from brink.server.findings.table import Column, Format, Table
+from brink.server.findings.thresholds.analysis import thresholds_view
+from brink.server.findings.thresholds.views import ThresholdsView, ThresholdView
+from brink.server.findings.words import counted
+
+MOST_SOLUTIONS: Final = 20_000
+"""Largest archive whose lines are estimated for a list; a campaign's page has those of others."""
+_ENDS_AGAIN: Final = 30
+COLUMNS: Final = [
+    Column(name="threshold", title="threshold", format=Format.COUNT),
+    Column(name="change", title="change from 20% to 80% unsafe"),
+    Column(name="held", title="held", below=True),
+    Column(name="turns", title="50% point, 90% interval"),
+    Column(name="parameter", title="parameter", below=True),
+    Column(name="within", title="20 to 80% within"),
+    Column(name="window", title="window", below=True),
+    Column(name="fails", title="how it fails"),
+    Column(name="rule", title="rule", below=True),
+    Column(name="outcome", title="state", format=Format.STATE),
+    Column(name="blame", title="blamed", below=True),
+    Column(name="drives", title="drives", format=Format.COUNT),
+    Column(name="safe", title="safe end", format=Format.SOLUTION, optional=True),
+    Column(name="unsafe", title="unsafe end", format=Format.SOLUTION, optional=True),
+    Column(name="pair", title="both ends", format=Format.STATE, below=True),
+    Column(name="unit", title="unit", detail=True),
+    *(
+        Column(name=name, title=title, format=Format.NUMBER, detail=True, optional=True)
+        for name, title in (
+            ("middle", "50% point"),
+            ("low", "smaller end of its interval"),
+            ("high", "larger end of its interval"),
+            ("at_20", "20% point"),
+            ("at_80", "80% point"),
+            ("stretch", "stretch"),
+            ("width", "distance of both ends"),
+            ("safe_again", "no longer unsafe from"),
+        )
+    ),
+    Column(name="resolution", title="resolution", format=Format.NUMBER, detail=True),
+    Column(name="range", title="range", format=Format.NUMBER, detail=True),
+    Column(name="rises", title="larger is unsafe", format=Format.FLAG, detail=True),
+    Column(name="chancy", title="probability that it is chancy", format=Format.NUMBER, detail=True),
+    Column(name="requirements", title="requirements", detail=True),
+    Column(name="kind", title="kind", detail=True),
+]
+_BLAME: Final = {
+    ComponentPart.COMPONENT: "component's hazard (one seed)",
+    ComponentPart.SCENARIO: "scenario's hazard (one seed)",
+}
+
+
+class ThresholdsKind(Kind):
+    """Where along one unit, with all else held, drives turn from safe to unsafe."""
+
+    id = "thresholds"
+    title = "Thresholds"
+    rank = 8
+    is_met = True
+    is_silent = True
+
+    async def find(self, subject: Subject) -> Finding:
+        """Return the thresholds, the narrowest first."""
+        sources, campaign = subject.sources, subject.campaign
+        found = await sources.thresholds.get(campaign, subject.read)
+        view = await sources.pages.read(
+            sources.engines,
+            lambda c: thresholds_view(c, campaign, subject.read, found, subject.stored, max(subject.rows, 1)),
+        )
+        sharp = [one for one in view.thresholds if one.outcome is Outcome.THRESHOLD]
+        pairs = [one.pair for one in view.thresholds if one.pair is not None]
+        return Finding(
+            kind=self.id,
+            title=self.title,
+            role=subject.role,
+            sentence=view.sentence,
+            purpose=f"Brink searched for thresholds: a {subject.noun} and one number along which it turns from safe "
+            "to unsafe while all else is held.",
+            example="".join(f"For example, {one.words[:1].lower()}{one.words[1:]}" for one in sharp[:1]),
+            figures=_figures(view, found),
+            caveats=_caveats(view),
+            trust=_trust(view, subject.noun),
+            legend=_legend(view, subject.noun) if view.thresholds else [],
+            rings=[[pair.safe.number, pair.unsafe.number] for pair in pairs][:MOST_RINGS]
+            if subject.role is Role.SOUGHT
+            else [],
+            is_empty=not view.thresholds,
+            view=view if view.thresholds else None,
+            tables=[thresholds_table(view, subject.rows)] if view.thresholds else [],
+            steps=_steps(subject, view),
+        )
+
+    def brief(self, listed: Listed) -> str:
+        """Return how many thresholds there are, and of how many kinds."""
+        campaign = listed.campaign
+        generation, words = listed.kept.get(campaign.id, (None, ""))
+        if generation == campaign.generation:
+            return str(words)
+        words = ""
+        if campaign.evaluated <= MOST_SOLUTIONS:
+            _, _, archive = listed.archives.stored(campaign)
+            found = find_stored_thresholds(listed.archives.engines, campaign, listed.plan, archive)
+            words = counted(len(found.of(Outcome.THRESHOLD)), "threshold")
+        listed.kept[campaign.id] = campaign.generation, words
+        return words
+
+
+def thresholds_table(view: ThresholdsView, rows: int | None = None) -> Table:
+    """Return thresholds as a table with one row for each line."""
+    shown = view.thresholds[:rows]
+    return Table(
+        name="thresholds",
+        title="Thresholds, the narrowest stretch first",
+        columns=COLUMNS,
+        rows=[_row(one) for one in shown],
+        left_out=view.left_out + len(view.thresholds) - len(shown),
+    )
+
+
+def _row(one: ThresholdView) -> list[str | int | float | bool | None]:
+    pair = one.pair
+    return [
+        one.place,
+        one.words.partition(": ")[0],
+        f"held: {one.held}" if one.held else "",
+        one.turns,
+        one.parameter,
+        one.within,
+        one.window,
+        one.fails,
+        one.rule,
+        one.outcome.value,
+        _BLAME.get(one.blame, ""),
+        one.drives,
+        None if pair is None else pair.safe.number,
+        None if pair is None else pair.unsafe.number,
+        "" if pair is None else _pair_words(one),
+        one.unit,
+        one.middle,
+        one.low,
+        one.high,
+        one.at_20,
+        one.at_80,
+        one.stretch,
+        None if pair is None else pair.width,
+        one.safe_again,
+        one.resolution,
+        one.range,
+        one.rises,
+        one.chancy,
+        ", ".join(one.requirements),
+        " / ".join(one.kind),
+    ]
+
+
+def _pair_words(one: ThresholdView) -> str:
+    pair = one.pair
+    assert pair is not None
+    words = "tight pair" if pair.tight else "wider than the stretch"
+    if pair.confirmation is Confirmation.NOT_TRIED:
+        return words
+    counts = " ".join(f"{end.again.unsafe}/{end.again.evaluated}" for end in (pair.safe, pair.unsafe))
+    return f"{words}, {pair.confirmation.value} {counts}"
+
+
+def _figures(view: ThresholdsView, found: CampaignThresholds) -> list[Term]:
+    thresholds = len(found.of(Outcome.THRESHOLD))
+    if not found.all:
+        return []
+    told = [
+        Term(term=f"{thresholds:,}", words="threshold" if thresholds == 1 else "thresholds"),
+        Term(term=f"{view.kinds:,}", words="kind of threshold" if view.kinds == 1 else "kinds of thresholds"),
+    ]
+    if chancy := len(found.of(Outcome.CHANCY)):
+        told.append(Term(term=f"{chancy:,}", words="chancy lines, without a threshold"))
+    return told
+
+
+def _caveats(view: ThresholdsView) -> list[str]:
+    told = []
+    if any(one.outcome is Outcome.THRESHOLD for one in view.thresholds):
+        told.append(
+            "Each threshold holds for its own drive: in another scenario, the same number turns elsewhere"
+        )
+    unstated = sorted({one.parameter for one in view.thresholds if not one.states_resolution})
+    if unstated:
+        told.append(
+            f"The problem states no resolution of {_some(unstated)}: 1% of the range counts as the same there"
+        )
+    return told
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def _trust(view: ThresholdsView, noun: str) -> list[Term]:
+    drives = sum(one.drives for one in view.thresholds)
+    if not drives:
+        return []
+    return [
+        Term(
+            term="Fresh seeds",
+            words=f"The curves rest on {drives:,} {noun}s, each with random numbers of its own. "
+            f"Intervals cover the truth with a probability of {view.confidence:.0%}.",
+        )
+    ]
+
+
+def _legend(view: ThresholdsView, noun: str) -> list[str]:
+    told = [
+        f"A threshold: with all else held, the probability that the {noun} is unsafe passes from at most 20% to at "
+        "least 80% along one number, or two that move together",
+        f"50% point: where half of the {noun}s are unsafe, with the interval that contains it with a probability of "
+        f"{view.confidence:.0%}; the stretch from 20 to 80% is also given as a share of the range",
+        "chancy: the probability does not pass from 20 to 80% within a fifth of the range; open: more simulations "
+        "would tell",
+    ]
+    if any(one.pair is not None for one in view.thresholds):
+        told.append(
+            "both ends: the nearest simulated drives below 20 and above 80%; a tight pair if they are at most the "
+            "stretch and two resolutions apart"
+        )
+    if any(one.window for one in view.thresholds):
+        told.append("window: further on, the drives are safe again, so larger is not simply worse")
+    told.append(
+        "Kinds are told apart by the number and its error, the target, the shape of the road, and how it fails"
+    )
+    return told
+
+
+def _steps(subject: Subject, view: ThresholdsView) -> list[Step]:
+    campaign = subject.campaign
+    sharp = [one for one in view.thresholds if one.outcome is Outcome.THRESHOLD]
+    if not sharp:
+        if subject.role is not Role.SOUGHT:
+            return []
+        return [subject.longer("A larger budget finds more unsafe drives, and estimates more lines.")]
+    steps = [
+        Step(
+            kind="look",
+            question="How sharp is it?",
+            words=f"Draws how likely a violation is along each unit, with every {subject.noun} that says so.",
+            command=f"brink findings {campaign.id} thresholds --picture thresholds.png",
+        )
+    ]
+    ends = [
+        number
+        for one in sharp
+        if one.pair is not None and one.pair.confirmation is Confirmation.NOT_TRIED
+        for number in (one.pair.safe.number, one.pair.unsafe.number)
+    ]
+    if ends and campaign.status in ENDED and not subject.plan.problem.ignores_seeds:
+        numbers = list(dict.fromkeys(ends))
+        steps.append(
+            Step(
+                kind="ends",
+                question="Do both ends hold?",
+                label="Simulate both ends again",
+                words=f"Simulates both ends of each threshold with other seeds: {len(numbers) * _ENDS_AGAIN:,} "
+                "simulations.",
+                request=StepRequest(
+                    path=f"{subject.path}/repeats", body={"numbers": numbers, "repeats": _ENDS_AGAIN}
+                ),
+                tells_more=True,
+            )
+        )
+    return steps
+
+
+KIND = ThresholdsKind()
+"""Findings of the kind `thresholds`: where along one unit drives turn from safe to unsafe."""

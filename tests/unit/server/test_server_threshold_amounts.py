@@ -1,0 +1,42 @@
+"""Values of numbers in the units in which people read thresholds."""
+
+import numpy as np
+
+from brink.server.findings.thresholds.analysis import Amounts
+from brink.server.problems.catalogue import make_problem
+from brink.sim.driving.interface import PERCEPTION_STEP_S
+from brink.sim.urban.detection_errors import MAGNITUDES, ErrorType
+
+
+def test_severities_are_read_in_the_unit_of_their_error() -> None:
+    problem = make_problem("urban-errors@1", {})
+    space = problem.space
+    values = space.decode(space.sample(np.random.default_rng(1)))
+    values["behaviour"] |= {"error_2.type": "miss", "error_2.target": "lead", "error_2.severity": 0.25}
+    row = space.join(space.encode(values))
+    column = space.column_names().index("behaviour.error_2.severity")
+    amounts = Amounts.of(problem, column, row, space.resolutions(row)[0][column])
+    longest = MAGNITUDES[ErrorType.MISS].most
+    assert (amounts.unit, amounts.decimals) == ("s", 1)
+    assert amounts.words(0.25) == f"{0.25 * longest:.1f} s"
+    assert amounts.interval(0.5, 0.25) == f"[{0.25 * longest:.1f}, {0.5 * longest:.1f}]"
+    traits = problem.traits("behaviour.error_2.severity", values)
+    assert traits[:3] == ("severity", "miss", "lead")
+    assert traits[-1] == values["scenario"]["road_curve"]
+
+
+def test_steps_are_read_in_seconds() -> None:
+    problem = make_problem("urban-injected@1", {})
+    space = problem.space
+    row = space.join(space.sample(np.random.default_rng(1)))
+    name = "behaviour.trajectory_1.t0_step"
+    amounts = Amounts.of(problem, space.column_names().index(name), row, 1.0)
+    assert amounts.words(13.0) == f"{13 * PERCEPTION_STEP_S:.1f} s"
+    assert problem.traits(name, space.decode(space.split(row)))[0] == "t0_step"
+
+
+def test_amounts_of_values_beyond_the_line_are_unknown() -> None:
+    amounts = Amounts(unit="m", at_0=0.0, per_1=2.0, decimals=1)
+    assert amounts.amount(np.inf) is None
+    assert amounts.interval(1.0, np.inf) == "[2.0, beyond]"
+    assert amounts.difference(0.01, 0.1) == "less than 0.2 m"
