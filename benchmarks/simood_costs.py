@@ -13,7 +13,7 @@ from benchmarks.simood_searches import Campaign
 from benchmarks.trials import Record, Records, run_record
 from brink.search.algorithms.simood import SimoodConfig
 from brink.server.problems.aeb_crossing import AebCrossingParams
-from brink.sim.aeb.episode import FRAME_S
+from brink.sim.driving.interface import CONTROL_STEP_S
 from brink.sim.episode import EpisodeSpec
 from brink.sim.perturbations import CATALOGUE
 from brink.worker.pool import process_pool, single_threaded
@@ -217,7 +217,7 @@ class Costs(Criteria):
                 f"A8 CPU s of {FRAMES} frames of an episode, 320 x 180",
                 camera_s,
                 MAX_CAMERA_EPISODE_S,
-                f"{FRAMES * FRAME_S:g} s of driving, from the mean of a frame",
+                f"{FRAMES * CONTROL_STEP_S:g} s of driving, from the mean of a frame",
             ),
             at_most(
                 "A8 memory of perturbing",

@@ -42,10 +42,10 @@ PLUGINS_VARIABLE = "BRINK_PLUGINS"
 """Environment variable with a comma-separated list of modules to import for the plug-ins that they register."""
 
 EXTRAS: Final[Mapping[str, str]] = {
-    "brink-aeb@2": "vision",
+    "brink-aeb@3": "vision",
     "brink-dataset@2": "vision",
-    "brink-drive-camera@2": "vision",
-    "brink-encounter-camera@2": "vision",
+    "brink-drive-camera@3": "vision",
+    "brink-encounter-camera@3": "vision",
     "gymnasium@1": "gymnasium",
     "highway-env@1": "highway",
     "sumo@1": "sumo",
@@ -91,7 +91,7 @@ def register(group: str, plugin_id: str, factory: Callable[..., object]) -> None
 
     Args:
         group: Entry-point group, such as ``brink.simulators``.
-        plugin_id: Versioned id, such as ``brink-drive@2``.
+        plugin_id: Versioned id, such as ``brink-drive@3``.
         factory: What an entry point would load: a class, or a function that returns an instance.
     """
     _registered.setdefault(group, {})[plugin_id] = factory
@@ -329,6 +329,8 @@ def worker_for(simulator_id: str) -> str:
         return f"the Python program that called brink.search() ({simulator_id})"
     if simulator_id in _entry_points(SIMULATORS):
         return f"a worker ({simulator_id})"
+    if retired_words(simulator_id) is not None:
+        return f"a worker of the version of Brink that has {simulator_id}"
     return f"a worker with the plug-in that provides {simulator_id}"
 
 
@@ -355,8 +357,24 @@ def make_simulator(simulator_id: str) -> Simulator:
         factory = load_plugin(SIMULATORS, simulator_id)
     except KeyError:
         known = ", ".join(simulator_ids()) or "none"
-        raise InvalidEpisode(f"simulator: unknown id {simulator_id!r}; registered here: {known}") from None
+        why = retired_words(simulator_id) or f"unknown id {simulator_id!r}"
+        raise InvalidEpisode(f"simulator: {why}; registered here: {known}") from None
     return cast(Callable[[], Simulator], factory)()
+
+
+def retired_words(simulator_id: str) -> str | None:
+    """Return in words that this version of Brink has replaced a simulator by a later one; None if it has not."""
+    name, _, number = simulator_id.partition("@")
+    later = [
+        one
+        for one in EXTRAS.keys() | _entry_points(SIMULATORS).keys()
+        if one.startswith(f"{name}@") and number.isdigit() and int(one.partition("@")[2]) > int(number)
+    ]
+    if not later:
+        return None
+    return (
+        f"this version of Brink no longer runs {simulator_id}, it has {min(later)}; its results stay readable"
+    )
 
 
 def requirement_ids() -> tuple[str, ...]:

@@ -27,7 +27,7 @@ class EpisodeSpec:
     """Everything that determines an episode.
 
     Attributes:
-        simulator: Versioned plug-in id, such as ``brink-drive@2``.
+        simulator: Versioned plug-in id, such as ``brink-drive@3``.
         scenario: The world, in terms that the simulator defines.
         behaviour: What the machine-learned component does, in terms that the simulator defines.
         requirements: Ids of the requirements to evaluate, in order.

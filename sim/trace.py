@@ -59,6 +59,8 @@ class ActorTrack:
         length_m: Extent along its heading.
         width_m: Extent across its heading.
         motion: x_m, y_m, yaw_rad, speed_mps at each sample, shape ``(n, 4)``; NaN while it is absent.
+        visible: Share of it that the camera sees at each sample, shape ``(n,)``; NaN while it is not in the image.
+            None if it is unknown.
     """
 
     name: str
@@ -66,6 +68,7 @@ class ActorTrack:
     length_m: float
     width_m: float
     motion: FloatArray
+    visible: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -271,6 +274,7 @@ class Trace:
         film: Images of a camera in the loop; None without one.
         reference: What a reference driver did in the system's place; None without one.
         guard: What a guard said; None without one.
+        pitch_rad: Pitch of the camera, positive if it looks up, shape ``(n,)``; None if it is unknown.
     """
 
     time_s: FloatArray
@@ -292,6 +296,7 @@ class Trace:
     film: Film | None = None
     reference: "Trace | None" = None
     guard: GuardTrack | None = None
+    pitch_rad: FloatArray | None = None
 
     def to_bytes(self) -> bytes:
         """Return the trace as a compressed npz archive."""
@@ -308,6 +313,10 @@ class Trace:
             arrays[f"{name}.rows"] = ragged.rows
         for index, actor in enumerate(self.actors):
             arrays[f"actor.{index}"] = actor.motion
+            if actor.visible is not None:
+                arrays[f"visible.{index}"] = actor.visible
+        if self.pitch_rad is not None:
+            arrays["pitch_rad"] = self.pitch_rad
         for index, surface in enumerate(self.scene):
             arrays[f"scene.{index}"] = surface.points
         for index, series in enumerate(self.robustness.values()):
@@ -380,13 +389,27 @@ class Trace:
                 rows=arrays[f"{name}.rows"],
             )
 
+        def series(name: str) -> FloatArray | None:
+            """Return an optional array, which traces of earlier versions lack."""
+            found = arrays.get(name)
+            if found is not None and found.shape != arrays["time_s"].shape:
+                raise ValueError(f"{name}: expected shape {arrays['time_s'].shape}, got {found.shape}")
+            return found
+
         return cls(
             time_s=arrays["time_s"],
             ego=arrays["ego"],
             ego_size_m=(header["ego_size_m"][0], header["ego_size_m"][1]),
             route=arrays["route"],
             actors=tuple(
-                ActorTrack(name=n, kind=k, length_m=length, width_m=w, motion=arrays[f"actor.{i}"])
+                ActorTrack(
+                    name=n,
+                    kind=k,
+                    length_m=length,
+                    width_m=w,
+                    motion=arrays[f"actor.{i}"],
+                    visible=series(f"visible.{i}"),
+                )
                 for i, (n, k, length, w) in enumerate(header["actors"])
             ),
             seen_boxes=ragged("seen_boxes"),
@@ -405,6 +428,7 @@ class Trace:
             about=header["about"],
             film=Film.from_arrays(arrays),
             guard=GuardTrack.of(header.get("guard"), arrays),
+            pitch_rad=series("pitch_rad"),
         )
 
 

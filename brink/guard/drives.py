@@ -36,13 +36,13 @@ OnProgress: TypeAlias = Callable[[int, int], None]
 HalfArray: TypeAlias = NDArray[np.float16]
 
 DEFAULT_PROBLEM: Final = PluginChoice(id="urban-injected@1")
-SIMULATORS: Final = ("brink-drive@2", "brink-drive-errors@1")
+SIMULATORS: Final = ("brink-drive@3", "brink-drive-errors@2")
 """Ids of the simulators whose drives can be recorded."""
 MOST_DIFFERENT: Final = 0.02
 """Share of the drives of a campaign that may end differently: on another class of processor, a few do."""
 LARGEST_BYTES: Final = 2 * 1024**3
 """Maximum size of a file of drives, packed and unpacked."""
-_STORED: Final = 2
+_STORED: Final = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,6 +55,7 @@ class Drive:
         behaviour: Its behaviour, as canonical JSON.
         seed: Its episode seed.
         features: Features at the perception steps, in the order of `ALL_FEATURES`, shape ``(steps, features)``.
+        begins_s: Time of the first features.
         violated_at_s: Time of the first violation of each requirement that was evaluated; None if it held.
         robustness: Robustness of each of these requirements.
         ended_at_s: When the drive ended.
@@ -65,6 +66,7 @@ class Drive:
     behaviour: str
     seed: int
     features: HalfArray
+    begins_s: float
     violated_at_s: Mapping[str, float | None]
     robustness: Mapping[str, float]
     ended_at_s: float
@@ -82,6 +84,11 @@ class Drive:
         times = [self.violated_at_s[name] for name in requirements]
         return min((one for one in times if one is not None), default=None)
 
+    @property
+    def times_s(self) -> FloatArray:
+        """Times of the features, shape ``(steps,)``."""
+        return self.begins_s + PERCEPTION_STEP_S * np.arange(len(self.features), dtype=np.float64)
+
     def series(self, requirements: Sequence[str], features: int) -> DriveSeries:
         """Return the training series of the drive, until its first violation.
 
@@ -90,7 +97,7 @@ class Drive:
             features: Number of features, from the first.
         """
         at_s = self.first_violation_s(requirements)
-        times_s: FloatArray = PERCEPTION_STEP_S * np.arange(len(self.features), dtype=np.float64)
+        times_s = self.times_s
         kept = np.ones(times_s.size, np.bool_) if at_s is None else times_s < at_s
         return DriveSeries(
             features=self.features[kept, :features],
@@ -307,6 +314,7 @@ def record_one(spec: EpisodeSpec) -> Drive:
         behaviour=behaviour_of(spec),
         seed=spec.seed,
         features=recorded.features,
+        begins_s=recorded.begins_s,
         violated_at_s={name: _time(verdict) for name, verdict in recorded.verdicts.items()},
         robustness={name: verdict.robustness for name, verdict in recorded.verdicts.items()},
         ended_at_s=recorded.ended_at_s,
@@ -362,6 +370,7 @@ def save_drives(file: Path, drives: Sequence[Drive]) -> None:
         steps=np.array([len(one.features) for one in drives], np.int64),
         violated_at_s=np.array(times, np.float64).reshape(len(drives), -1),
         robustness=np.array([[one.robustness[name] for name in requirements] for one in drives], np.float64),
+        begins_s=np.array([one.begins_s for one in drives], np.float64),
         ended_at_s=np.array([one.ended_at_s for one in drives], np.float64),
     )
     temporary.replace(file)
@@ -382,6 +391,7 @@ def load_drives(file: Path) -> list[Drive] | None:
                 behaviour=behaviour,
                 seed=int(seed),
                 features=arrays["features"][first:end],
+                begins_s=float(begins_s),
                 violated_at_s={
                     name: None if np.isnan(at) else float(at)
                     for name, at in zip(header["requirements"], times, strict=True)
@@ -389,13 +399,14 @@ def load_drives(file: Path) -> list[Drive] | None:
                 robustness=dict(zip(header["requirements"], robustness.tolist(), strict=True)),
                 ended_at_s=float(ended),
             )
-            for digest, scenario, behaviour, seed, first, end, times, robustness, ended in zip(
+            for digest, scenario, behaviour, seed, first, end, begins_s, times, robustness, ended in zip(
                 header["digests"],
                 header["scenarios"],
                 header["behaviours"],
                 header["seeds"],
                 [0, *ends[:-1]],
                 ends,
+                arrays["begins_s"],
                 arrays["violated_at_s"],
                 arrays["robustness"],
                 arrays["ended_at_s"],

@@ -236,10 +236,12 @@ class _Watched:
 
     Attributes:
         series: What the guard sees.
+        begins_s: Time of the first features.
         violated_at_s: When it was violated; None if it was not.
     """
 
     series: DriveSeries
+    begins_s: float
     violated_at_s: float | None
 
     @property
@@ -250,7 +252,9 @@ class _Watched:
     @classmethod
     def of(cls, drive: Drive, model: GuardModel) -> "_Watched":
         series = drive.series(model.requirements, len(model.sensor.features))
-        return cls(series=series, violated_at_s=drive.first_violation_s(model.requirements))
+        return cls(
+            series=series, begins_s=drive.begins_s, violated_at_s=drive.first_violation_s(model.requirements)
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -370,7 +374,7 @@ def confirmed(scores: FloatArray, steps: int) -> FloatArray:
 
 
 def peak(strengths: FloatArray, before_s: float = np.inf) -> float:
-    """Return the highest confirmed score at or before a time; -inf if there is none."""
+    """Return the highest confirmed score until a time after the first score; -inf if there is none."""
     last = strengths.size if np.isinf(before_s) else int(np.floor(before_s / PERCEPTION_STEP_S + 1e-6)) + 1
     return float(strengths[: max(last, 0)].max(initial=-np.inf))
 
@@ -390,7 +394,7 @@ def _warnings(
     strengths = np.empty((len(watched), len(LEADS_S)))
     for row, one, score in zip(strengths, watched, scores, strict=True):
         found = confirmed(score, confirm)
-        end_s = np.inf if one.violated_at_s is None else one.violated_at_s
+        end_s = np.inf if one.violated_at_s is None else one.violated_at_s - one.begins_s
         row[:] = [peak(found, end_s - lead_s) for lead_s in LEADS_S]
     harmless, hazards = np.sort(strengths[~judged.violated, 0]), np.sort(strengths[judged.violated], axis=0)
     points = [_point(threshold, harmless, hazards) for threshold in _thresholds(harmless, hazards)]
@@ -439,7 +443,8 @@ def _own_alarms(
     for warned, one, scores in zip(raised, watched, deciding, strict=True):
         alarm = Alarm(model.alarm)
         states = np.array([alarm.step(score) for score in scores.tolist()], np.bool_)
-        starts = np.flatnonzero(states & ~np.concatenate([[False], states[:-1]])) * PERCEPTION_STEP_S
+        raised_at = np.flatnonzero(states & ~np.concatenate([[False], states[:-1]]))
+        starts = one.begins_s + raised_at * PERCEPTION_STEP_S
         if one.violated_at_s is None:
             warned[:] = bool(starts.size)
             alarms += starts.size
@@ -449,7 +454,7 @@ def _own_alarms(
         if starts.size:
             leads.append(one.violated_at_s - float(starts[0]))
             warned[:] = [leads[-1] >= lead_s - 1e-9 for lead_s in LEADS_S]
-        recent += _is_recent(one.violated_at_s, starts, states)
+        recent += _is_recent(one.violated_at_s - one.begins_s, starts - one.begins_s, states)
     violated = judged.violated
     false_alarms, false_interval = judged.share(raised[:, 0], ~violated)
     return OwnAlarms(
@@ -468,7 +473,10 @@ def _own_alarms(
 
 
 def _is_recent(violated_at_s: float, starts_s: NDArray[np.floating[Any]], states: BoolArray) -> bool:
-    """Return whether an alarm was raised shortly before a violation, or was on `LEAD_S` before it."""
+    """Return whether an alarm was raised shortly before a violation, or was on `LEAD_S` before it.
+
+    All times are relative to the first features.
+    """
     ahead_s = violated_at_s - starts_s
     if ((ahead_s >= LEAD_S - 1e-9) & (ahead_s <= RECENT_S)).any():
         return True
@@ -481,7 +489,7 @@ def _accuracies(
 ) -> Iterator[HorizonAccuracy]:
     until_s = np.concatenate(
         [
-            (np.inf if one.violated_at_s is None else one.violated_at_s)
+            (np.inf if one.violated_at_s is None else one.violated_at_s - one.begins_s)
             - PERCEPTION_STEP_S * np.arange(len(one.features))
             for one in watched
         ]

@@ -1,4 +1,4 @@
-"""Records what a guard would observe in an episode: its features at every perception step, and the verdicts.
+"""Records what a guard would observe in an episode: its features whenever boxes arrive, and the verdicts.
 
 Episodes are deterministic, so features need not be stored with results: they are recorded by running an episode again
 (docs/adr/0055). Recording changes nothing in the episode: the driving system is only watched.
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.guard.features import ALL_FEATURES, FeatureExtractor
+from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import (
-    PERCEPTION_STEP_S,
     Command,
     DrivingSystem,
     Observation,
@@ -24,7 +24,7 @@ from brink.sim.driving.interface import (
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Verdict
 from brink.sim.errors import InvalidEpisode
 from brink.sim.guard.interface import KnownConditions, RangeScan
-from brink.sim.urban.range_sensor import RangeSensor, known_conditions, range_sensor
+from brink.sim.urban.range_sensor import RangeSensor, known_conditions, range_sensor, scan_number
 from brink.sim.urban.simulator import BrinkDrive, BrinkDriveErrors
 from brink.sim.world.scenario import UrbanScenario
 from brink.sim.world.world import World
@@ -37,13 +37,15 @@ class RecordedDrive:
     """The features and verdicts of one episode.
 
     Attributes:
-        features: Features at the perception steps 0, 1, 2, …, in the order of
+        features: Features whenever boxes arrived, `PERCEPTION_STEP_S` apart, in the order of
             `brink.guard.features.ALL_FEATURES`, shape ``(steps, features)``.
+        begins_s: Time of the first features: when the boxes of the first image arrived.
         verdicts: Verdict of each requirement, by id.
         ended_at_s: When the episode ended.
     """
 
     features: HalfArray
+    begins_s: float
     verdicts: Mapping[str, Verdict]
     ended_at_s: float
 
@@ -76,7 +78,7 @@ class WatchedDriving:
         command = self._driving.step(observation)
         scan = None
         if observation.boxes is not None:
-            scan = self._sensor.scan(round(observation.time_s / PERCEPTION_STEP_S))
+            scan = self._sensor.scan(scan_number(observation.time_s))
         self._watch(Moment(observation, command, self._driving.plan, scan))
         return command
 
@@ -92,23 +94,31 @@ class WatchedDriving:
 
 
 class _Watching(BrinkDrive):
-    """Runs urban episodes with a watched driving system, and keeps the moments of the last one."""
+    """Runs one urban episode with a watched driving system, and keeps its moments.
+
+    Args:
+        spec: The episode.
+    """
 
     route: Route
     conditions: KnownConditions
     moments: list[Moment]
 
-    def _driving(self, world: World, scenario: UrbanScenario, spec: EpisodeSpec) -> DrivingSystem:
+    def __init__(self, spec: EpisodeSpec) -> None:
+        self._spec = spec
+
+    def _driving(self, world: World, camera: Camera) -> DrivingSystem:
+        scenario = UrbanScenario.from_json(self._spec.scenario)
         self.route, self.conditions, self.moments = world.route, known_conditions(scenario), []
-        sensor = range_sensor(world, scenario, spec)
-        return WatchedDriving(super()._driving(world, scenario, spec), sensor, self.moments.append)
+        sensor = range_sensor(world, scenario, self._spec)
+        return WatchedDriving(super()._driving(world, camera), sensor, self.moments.append)
 
 
 class _WatchingErrors(_Watching, BrinkDriveErrors):
     """The same, with errors relative to the truth."""
 
 
-_SIMULATORS: Final[Mapping[str, Callable[[], _Watching]]] = {
+_SIMULATORS: Final[Mapping[str, Callable[[EpisodeSpec], _Watching]]] = {
     BrinkDrive.id: _Watching,
     BrinkDriveErrors.id: _WatchingErrors,
 }
@@ -145,7 +155,7 @@ def observe_drive(spec: EpisodeSpec) -> ObservedDrive:
         raise InvalidEpisode(
             f"simulator: a guard can be fitted to drives of {', '.join(SIMULATORS)}; got {spec.simulator!r}"
         )
-    simulator = make()
+    simulator = make(spec)
     result = simulator.run(spec)
     return ObservedDrive(
         route=simulator.route, conditions=simulator.conditions, moments=simulator.moments, result=result
@@ -161,11 +171,13 @@ def record_drive(spec: EpisodeSpec) -> RecordedDrive:
     """
     observed = observe_drive(spec)
     extractor = FeatureExtractor(observed.route, observed.conditions, ranges=True)
-    rows = [extractor.step(*moment) for moment in observed.moments if moment.observation.boxes is not None]
+    moments = [moment for moment in observed.moments if moment.observation.boxes is not None]
+    rows = [extractor.step(*moment) for moment in moments]
     ended_at_s = observed.result.features["ended_at_s"]
     assert isinstance(ended_at_s, float | int)
     return RecordedDrive(
         features=np.array(rows, np.float16).reshape(-1, len(ALL_FEATURES)),
+        begins_s=moments[0].observation.time_s if moments else 0.0,
         verdicts=observed.result.verdicts,
         ended_at_s=float(ended_at_s),
     )

@@ -3,6 +3,9 @@
 On a sketch, green solid boxes are the ground truth and vermilion dashed ones what was reported to the driving system.
 On a recorded image, green boxes are the ground truth, red ones the detections that counted, and yellow lines the
 regions in which a detection triggers the brake.
+
+A sketch pitches with the camera where the trace tells its pitch. It shows the brake lights of the cars that the
+camera sees, and what the ego's traffic light shows.
 """
 
 import io
@@ -18,9 +21,11 @@ from brink.pictures.scene import (
     PERSON_REGION,
     SKETCHED_FROM_M,
     SKETCHED_TO_M,
+    EpisodeScene,
     Points,
     SurfaceStyle,
     has_errors,
+    is_car,
     label_index,
     pictures_shown,
     score_threshold,
@@ -31,12 +36,15 @@ from brink.pictures.scene import (
 from brink.pictures.style import (
     BLURRED_PEDESTRIAN,
     BLURRED_VEHICLE,
+    BRAKE,
     EDGES,
     FILLS,
     FOUND_ON_PICTURE,
     GHOST,
     GROUND,
     INK,
+    LAMP_OFF,
+    LIGHTS,
     PAPER,
     REGION_ON_PICTURE,
     SEEN,
@@ -52,6 +60,14 @@ from brink.sim.trace import Film, FloatArray, Trace
 
 FAR_PX: Final = 4000.0
 """Points are drawn at most this far outside the image."""
+_BRAKE_LIGHT_M: Final = 0.7
+_BRAKE_LIGHT_RADIUS_M: Final = 0.12
+_BRAKE_LIGHT_ASIDE: Final = 0.36
+"""Distance of a brake light from the middle of a car, in widths."""
+_POST_M: Final = 3.4
+_LAMP_RADIUS_M: Final = 0.15
+_LAMP_M: Final = 0.36
+"""Distance between the lamps of a traffic light."""
 
 
 class Reported(NamedTuple):
@@ -84,8 +100,10 @@ class SketchView:
 
     def __init__(self, trace: Trace, *, size_px: tuple[int, int]) -> None:
         self._trace = trace
+        self._scene = EpisodeScene.of(trace)
         self._size = size_px
         self._camera = Camera()
+        self._stop_lines = [s.points.astype(np.float64) for s in trace.scene if s.kind == "stop-line"]
         surfaces = [surface for surface in trace.scene if surface.closed and len(surface.points) > 2]
         ends = np.cumsum([0, *(len(surface.points) for surface in surfaces)]).tolist()
         self._areas = [
@@ -109,9 +127,15 @@ class SketchView:
         width, height = (side * SUPERSAMPLING for side in self._size)
         image = Image.new("RGB", (width, height), SKY)
         draw = ImageDraw.Draw(image)
-        draw.rectangle((0, height / 2, width, height), fill=GROUND)
-        self._draw_areas(draw, sample)
+        tan_pitch = float(np.tan(self._scene.pitch_rad[sample]))
+        horizon = (
+            (self._camera.horizon_px + self._camera.focal_px * tan_pitch) * self._scale[1] * SUPERSAMPLING
+        )
+        draw.rectangle((0, horizon, width, height), fill=GROUND)
+        self._draw_areas(draw, sample, tan_pitch)
+        self._draw_traffic_light(draw, sample, tan_pitch)
         self._draw_ground_truth(draw, sample)
+        self._draw_brake_lights(draw, sample, tan_pitch)
         image = image.reduce(SUPERSAMPLING)
         draw = ImageDraw.Draw(image)
         for report in reports:
@@ -120,14 +144,19 @@ class SketchView:
         self._write_labels(draw, reports)
         return image
 
-    def _draw_areas(self, draw: ImageDraw.ImageDraw, sample: int) -> None:
-        if not self._areas:
-            return
+    def _seen(self, points_m: Points, sample: int) -> Points:
+        """Convert world coordinates to (depth, left)."""
         x_m, y_m, yaw_rad = (float(value) for value in self._trace.ego[sample, :3])
         cosine, sine = np.cos(yaw_rad), np.sin(yaw_rad)
-        seen = (self._points - (x_m, y_m)) @ np.array([[cosine, -sine], [sine, cosine]])
+        seen: Points = (points_m - (x_m, y_m)) @ np.array([[cosine, -sine], [sine, cosine]])
         seen[:, 0] -= self._camera.forward_m
-        ground = self._project(seen, 0.0)
+        return seen
+
+    def _draw_areas(self, draw: ImageDraw.ImageDraw, sample: int, tan_pitch: float) -> None:
+        if not self._areas:
+            return
+        seen = self._seen(self._points, sample)
+        ground = self._project(seen, 0.0, tan_pitch)
         starts = [area.first for area in self._areas]
         nearest, farthest = np.minimum.reduceat(seen[:, 0], starts), np.maximum.reduceat(seen[:, 0], starts)
         beside = np.minimum.reduceat(np.abs(seen[:, 1]) - np.maximum(seen[:, 0], 0.0), starts) > 0
@@ -141,18 +170,21 @@ class SketchView:
                 standing.append((float(nearest[index] + farthest[index]), style, seen[first:last]))
                 continue
             whole = nearest[index] >= SKETCHED_FROM_M
-            corners = ground[first:last] if whole else self._project(_cut(seen[first:last]), 0.0)
+            corners = ground[first:last] if whole else self._project(_cut(seen[first:last]), 0.0, tan_pitch)
             if len(corners) > 2:
                 draw.polygon(corners.ravel().tolist(), fill=FILLS[style.paint])
         for _, style, points in sorted(standing, key=lambda item: -item[0]):
-            self._draw_walls(draw, style, points)
+            self._draw_walls(draw, style, points, tan_pitch)
 
-    def _draw_walls(self, draw: ImageDraw.ImageDraw, style: SurfaceStyle, points: Points) -> None:
+    def _draw_walls(
+        self, draw: ImageDraw.ImageDraw, style: SurfaceStyle, points: Points, tan_pitch: float
+    ) -> None:
         """Draw the walls over a footprint, farthest first; walls across the view are lighter than those along it."""
         corners = _cut(points)
         if len(corners) < 2:
             return
-        foot, top = self._project(corners, 0.0), self._project(corners, style.height_m)
+        foot = self._project(corners, 0.0, tan_pitch)
+        top = self._project(corners, style.height_m, tan_pitch)
         depth = corners[:, 0] + np.roll(corners[:, 0], 1)
         along = np.abs(np.diff(corners, axis=0, prepend=corners[-1:]))
         for index in np.argsort(-depth).tolist():
@@ -160,13 +192,16 @@ class SketchView:
             shades = EDGES if along[index, 0] > along[index, 1] else FILLS
             draw.polygon(wall.ravel().tolist(), fill=shades[style.paint])
 
-    def _project(self, points: Points, height_m: float) -> Points:
+    def _project(self, points: Points, height_m: float, tan_pitch: float) -> Points:
         """Project points (depth, left) at a height above the ground to supersampled pixels of the view."""
         camera = self._camera
         depth = np.maximum(points[:, 0], SKETCHED_FROM_M)
         pixels = np.empty((len(points), 2))
         pixels[:, 0] = camera.centre_x_px - camera.focal_px * points[:, 1] / depth
-        pixels[:, 1] = camera.horizon_px + camera.focal_px * (camera.height_m - height_m) / depth
+        # As in `Camera`, pitch moves rows alone.
+        down = (camera.height_m - height_m) / depth
+        down = (down + tan_pitch) / np.maximum(1.0 - down * tan_pitch, 0.1)
+        pixels[:, 1] = camera.horizon_px + camera.focal_px * down
         return np.clip(pixels, -FAR_PX, FAR_PX) * (self._scale * SUPERSAMPLING)
 
     def _draw_ground_truth(self, draw: ImageDraw.ImageDraw, sample: int) -> None:
@@ -176,6 +211,58 @@ class SketchView:
             box = self._corners(row) * SUPERSAMPLING
             colour = BLURRED_VEHICLE if row[0] == 0 else BLURRED_PEDESTRIAN
             draw.rectangle(box.ravel().tolist(), fill=colour, outline=SEEN, width=2 * SUPERSAMPLING)
+
+    def _draw_brake_lights(self, draw: ImageDraw.ImageDraw, sample: int, tan_pitch: float) -> None:
+        """Draw the brake lights of cars whose rear is in the camera's view."""
+        scene = self._scene
+        for actor, brakes, hidden in zip(
+            self._trace.actors, scene.actors_brake, scene.actors_hidden, strict=True
+        ):
+            motion = actor.motion[sample, :3].astype(np.float64)
+            if not is_car(actor) or not brakes[sample] or hidden[sample] or not np.isfinite(motion).all():
+                continue
+            x_m, y_m, yaw_rad = motion.tolist()
+            ahead = np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
+            left = np.array([-ahead[1], ahead[0]]) * _BRAKE_LIGHT_ASIDE * actor.width_m
+            rear = (x_m, y_m) - ahead * actor.length_m / 2
+            lights = self._seen(np.array([rear + left, rear - left]), sample)
+            faces_camera = (self._trace.ego[sample, :2] - rear) @ ahead < 0
+            if faces_camera and (lights[:, 0] > SKETCHED_FROM_M).all() and lights[0, 0] < SKETCHED_TO_M:
+                for light in lights:
+                    self._draw_disc(draw, light, _BRAKE_LIGHT_M, _BRAKE_LIGHT_RADIUS_M, BRAKE, tan_pitch)
+
+    def _draw_traffic_light(self, draw: ImageDraw.ImageDraw, sample: int, tan_pitch: float) -> None:
+        """Draw the ego's traffic light at the right end of its stop line, which is ahead."""
+        state = self._trace.lights[sample]
+        lines = [self._seen(points, sample) for points in self._stop_lines]
+        ends = [seen[seen[:, 1].argmin()] for seen in lines if len(seen)]
+        ends = [end for end in ends if 1.0 < end[0] < SKETCHED_TO_M]
+        if state not in LIGHTS or not ends:
+            return
+        post = min(ends, key=lambda end: float(end[0]))
+        low, high = (
+            self._project(post[None], height_m, tan_pitch)[0] for height_m in (0.0, _POST_M - 3 * _LAMP_M)
+        )
+        draw.line([*low.tolist(), *high.tolist()], fill=LAMP_OFF, width=SUPERSAMPLING)
+        for number, name in enumerate(("red", "amber", "green")):
+            height_m = _POST_M - (number + 0.5) * _LAMP_M
+            colour = LIGHTS[name] if name == state else LAMP_OFF
+            self._draw_disc(draw, post, height_m, _LAMP_RADIUS_M, colour, tan_pitch)
+
+    def _draw_disc(
+        self,
+        draw: ImageDraw.ImageDraw,
+        at: Points,
+        height_m: float,
+        radius_m: float,
+        colour: Rgb,
+        tan_pitch: float,
+    ) -> None:
+        """Draw a disc at a point (depth, left), which is at least a pixel large."""
+        x, y = self._project(at[None], height_m, tan_pitch)[0].tolist()
+        px_per_m = self._camera.focal_px / float(at[0]) * float(self._scale[0]) * SUPERSAMPLING
+        reach = max(radius_m * px_per_m, 0.8 * SUPERSAMPLING)
+        draw.ellipse((x - reach, y - reach, x + reach, y + reach), fill=colour)
 
     def _sides(self, row: FloatArray) -> Points:
         """Return the four corners of an image box in pixels of the view."""

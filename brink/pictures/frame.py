@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw
 
 from brink.pictures.camera_view import camera_view, draw_film_legend
 from brink.pictures.guard import guard_words
-from brink.pictures.map_view import MapView
+from brink.pictures.map_view import HIDDEN_WHITE, MapView
 from brink.pictures.reference import avoidable_words
 from brink.pictures.scene import PERSON, EpisodeScene, ReplayError, count_wrong, has_errors
 from brink.pictures.story import (
@@ -49,6 +49,7 @@ from brink.pictures.style import (
     Rgb,
     draw_banner,
     draw_dashed,
+    lighter,
     readable_on,
     typeface,
 )
@@ -158,7 +159,7 @@ class FramePainter:
             font_px=round(13 * self.layout.unit),
         )
         self._camera = camera_view(trace, extent(self.layout.camera))
-        self._panel = _Panel(trace, self.story, self.layout)
+        self._panel = _Panel(self.scene, self.story, self.layout)
         self._bar = _TimeBar(trace, self.story, self.layout)
         self._still = Image.new("RGB", size, PAPER)
         self._paint_grounds()
@@ -288,8 +289,9 @@ class FramePainter:
 class _Panel:
     """Draws speed, robustness, plan mode, traffic light and legend onto a frame."""
 
-    def __init__(self, trace: Trace, story: Story, layout: Layout) -> None:
-        self._trace = trace
+    def __init__(self, scene: EpisodeScene, story: Story, layout: Layout) -> None:
+        self._trace = trace = scene.trace
+        self._hides = any(hidden.any() for hidden in scene.actors_hidden)
         self._story = story
         self._unit = layout.unit
         self._left, self._top, self._right, self._bottom = layout.panel
@@ -385,7 +387,9 @@ class _Panel:
         ]
         if self._trace.film is not None:
             entries = entries[:4]  # the lines on the image are explained below it
-        spots = [(0, 0), (1, 0), (0, 1), (1, 1), (0, 2), (0, 3), (0, 4)]
+        if self._hides:
+            entries.append(("camera: hidden", "hidden"))
+        spots = [(0, 0), (1, 0), (0, 1), (1, 1), (0, 2), (0, 3), (0, 4), (1, 4)]
         for (text, key), (column, row) in zip(entries, spots, strict=False):
             x = self._left + column * (self._right - self._left) / 2
             y = top + (9 + 20 * row) * unit
@@ -407,6 +411,9 @@ class _Panel:
             draw.line((x + 2 * unit, y, right, y), fill=ROUTE, width=max(2, round(3 * unit)))
         elif key == "person":
             draw.ellipse((x + 11 * unit, y - 4 * unit, x + 19 * unit, y + 4 * unit), fill=PEDESTRIAN)
+        elif key == "hidden":
+            car = (left, y - 4.5 * unit, right, y + 4.5 * unit)
+            draw.rounded_rectangle(car, radius=3 * unit, fill=lighter(VEHICLE, HIDDEN_WHITE))
         elif key == "box":
             draw.rectangle((left, top, right, bottom), outline=SEEN, width=2)
         else:

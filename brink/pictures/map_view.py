@@ -60,6 +60,8 @@ from brink.sim.trace import FloatArray, Surface, Trace
 
 ROUTE_WIDTH_M: Final = 0.3
 LEAST_PERSON_PX: Final = 3.0
+HIDDEN_WHITE: Final = 0.65
+"""Share of white in the colour of a road user who is hidden from the camera."""
 DOTS_M: Final = 1.0
 """Distance between the dots of the path ahead."""
 _LEAST_LEADER_PX: Final = 7.0
@@ -454,10 +456,14 @@ class MapView:
             corners = shape[sample] - corner
             if (corners[0] < -reach).any() or (corners[0] > limit + reach).any():
                 continue
+            hidden = bool(self._scene.actors_hidden[index][sample])
             if not is_car(actor):
-                self._draw_person(draw, corners)
+                self._draw_person(draw, corners, hidden=hidden)
                 continue
-            self._draw_car(draw, corners, VEHICLE, brakes=bool(self._scene.actors_brake[index][sample]))
+            if hidden:
+                self._draw_hidden_car(draw, corners)
+            else:
+                self._draw_car(draw, corners, VEHICLE, brakes=bool(self._scene.actors_brake[index][sample]))
             if gap is not None and gap.actor == index and gap.too_short:
                 closed = np.vstack([corners[_BODY], corners[_BODY][:2]])
                 draw.line(closed.ravel().tolist(), fill=VIOLATION, width=2 * SUPERSAMPLING, joint="curve")
@@ -470,17 +476,25 @@ class MapView:
             for light in _BRAKE_LIGHTS:
                 draw.polygon(corners[light].ravel().tolist(), fill=BRAKE)
 
+    def _draw_hidden_car(self, draw: ImageDraw.ImageDraw, corners: Points) -> None:
+        """Draw a car that the camera does not see: pale, with a dashed outline."""
+        draw.polygon(corners[_BODY].ravel().tolist(), fill=lighter(VEHICLE, HIDDEN_WHITE))
+        dash = 0.4 * self._viewport.px_per_m
+        draw_dashed(draw, corners[_BODY], VEHICLE, dash=dash, gap=dash, width=SUPERSAMPLING)
+
     @property
     def _person_px(self) -> float:
         return max(LEAST_PERSON_PX * SUPERSAMPLING, SHAPES.person_radius_m * self._viewport.px_per_m)
 
-    def _draw_person(self, draw: ImageDraw.ImageDraw, corners: Points) -> None:
+    def _draw_person(self, draw: ImageDraw.ImageDraw, corners: Points, *, hidden: bool) -> None:
+        colour = lighter(PEDESTRIAN, HIDDEN_WHITE) if hidden else PEDESTRIAN
+        edge = PEDESTRIAN if hidden else PAPER
         radius = self._person_px
         (x, y), nose = corners[0], corners[1] - corners[0]
         length = max(1e-9, float(np.hypot(*nose)))
         tip = corners[0] + nose / length * radius * SHAPES.person_nose
-        draw.line([x, y, *tip.tolist()], fill=PEDESTRIAN, width=round(radius * 0.6))
-        draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=PEDESTRIAN, outline=PAPER)
+        draw.line([x, y, *tip.tolist()], fill=colour, width=round(radius * 0.6))
+        draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=colour, outline=edge)
 
     def _draw_obstacles(
         self,

@@ -1,7 +1,8 @@
 """The scene model of an episode: what videos, still images and the web page show, computed once from its trace.
 
-All rules that they share are here: which perceived obstacles are ghosts, who is braking, how tall a building is
-drawn, where the map is centred, which vehicle the front gap is measured to. A drawing only adds colours and pixels.
+All rules that they share are here: which perceived obstacles are ghosts, whose brake lights are on, who is hidden
+from the camera, how tall a building is drawn, where the map is centred, which vehicle the front gap is measured to. A
+drawing only adds colours and pixels.
 
 SimulatorError
 └── ReplayError         the replay cannot be rendered; the message says what can
@@ -14,7 +15,7 @@ from typing import Final, NamedTuple, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.sim.driving.camera import Camera
+from brink.sim.driving.camera import LEAST_VISIBLE, Camera
 from brink.sim.episode import Json
 from brink.sim.errors import SimulatorError
 from brink.sim.perception_errors import MODE
@@ -22,6 +23,7 @@ from brink.sim.plane import Rectangle, approaches, overlaps
 from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import ActorTrack, Film, Trace
 from brink.sim.verdict import Impact
+from brink.sim.world.vehicle import BRAKE_LIGHTS_FROM_MPS2, HELD_BELOW_MPS
 
 Points: TypeAlias = NDArray[np.float64]
 """Corners, shape ``(k, 2)``."""
@@ -69,7 +71,6 @@ SKETCHED_TO_M: Final = 90.0
 """Smallest and greatest distance of objects shown in a sketch of the camera view."""
 
 _CAMERA: Final = Camera()
-_BRAKING_MPS2: Final = -1.0
 _SMOOTHING_S: Final = 2.0
 _GAP_DRAWN_UP_TO_M: Final = 40.0
 _CORRIDOR_M: Final = 2.5
@@ -184,8 +185,10 @@ class EpisodeScene:
     Attributes:
         trace: The episode.
         obstacles: What the driving system perceives.
-        ego_brakes: Whether the ego is braking at each sample, shape ``(n,)``.
+        ego_brakes: Whether the ego's brake lights are on at each sample, shape ``(n,)``.
         actors_brake: The same for each actor of the trace.
+        actors_hidden: Whether each actor is hidden from the camera, though within its image, at each sample.
+        pitch_rad: Pitch of the camera at each sample, shape ``(n,)``; 0 if the trace does not tell.
         route_layer: Number of surfaces below the route, which lies on the road and under everything that stands.
     """
 
@@ -193,6 +196,8 @@ class EpisodeScene:
     obstacles: Obstacles
     ego_brakes: Flags
     actors_brake: tuple[Flags, ...]
+    actors_hidden: tuple[Flags, ...]
+    pitch_rad: Points
     route_layer: int
 
     @classmethod
@@ -203,8 +208,10 @@ class EpisodeScene:
             return cls(
                 trace=trace,
                 obstacles=_obstacles(trace),
-                ego_brakes=trace.ego[:, 4] < _BRAKING_MPS2,
+                ego_brakes=_brake_lights_on(trace.ego[:, 3], trace.ego[:, 4]),
                 actors_brake=tuple(_brakes(actor, trace) for actor in trace.actors),
+                actors_hidden=tuple(_hidden(actor, trace) for actor in trace.actors),
+                pitch_rad=_pitch_rad(trace),
                 route_layer=standing[0] if standing else len(trace.scene),
             )
 
@@ -286,8 +293,27 @@ def label_index(label: float) -> int:
 
 
 def _brakes(actor: ActorTrack, trace: Trace) -> Flags:
-    accel_mps2 = np.diff(actor.motion[:, 3]) / np.maximum(1e-6, np.diff(trace.time_s))
-    return np.concatenate([[False], accel_mps2 < _BRAKING_MPS2])
+    speed_mps = actor.motion[:, 3]
+    accel_mps2 = np.diff(speed_mps) / np.maximum(1e-6, np.diff(trace.time_s))
+    return _brake_lights_on(speed_mps, np.concatenate([[0.0], accel_mps2]))
+
+
+def _brake_lights_on(speed_mps: NDArray[np.floating], accel_mps2: NDArray[np.floating]) -> Flags:
+    """Return for each sample what `brink.sim.world.vehicle.brake_lights_on` says."""
+    return np.asarray((accel_mps2 < -BRAKE_LIGHTS_FROM_MPS2) | (speed_mps < HELD_BELOW_MPS))
+
+
+def _hidden(actor: ActorTrack, trace: Trace) -> Flags:
+    if actor.visible is None:
+        return np.zeros(len(trace.time_s), np.bool_)
+    least = spec_part(trace, "options").get("least_visible")
+    return np.asarray(actor.visible < (least if isinstance(least, int | float) else LEAST_VISIBLE))
+
+
+def _pitch_rad(trace: Trace) -> Points:
+    if trace.pitch_rad is None:
+        return np.zeros(len(trace.time_s))
+    return np.nan_to_num(np.clip(trace.pitch_rad.astype(np.float64), -0.5, 0.5))
 
 
 def map_centres(trace: Trace, look_ahead_m: float) -> Points:

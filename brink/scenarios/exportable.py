@@ -7,9 +7,9 @@ from brink.sim.errors import InvalidEpisode
 
 MODULES: Final = ("scenariogeneration", "cv2")
 """Modules of the extra `exchange`, without which nothing can be exported."""
-URBAN_SIMULATORS: Final = ("brink-drive@2", "brink-drive-errors@1", "brink-drive-camera@2")
-ENCOUNTER_SIMULATORS: Final = ("brink-encounter@1", "brink-encounter-camera@2")
-STREET_SIMULATORS: Final = ("brink-aeb@2",)
+URBAN_SIMULATORS: Final = ("brink-drive@3", "brink-drive-errors@2", "brink-drive-camera@3")
+ENCOUNTER_SIMULATORS: Final = ("brink-encounter@2", "brink-encounter-camera@3")
+STREET_SIMULATORS: Final = ("brink-aeb@2", "brink-aeb@3")
 EXPORTABLE: Final = (*URBAN_SIMULATORS, *ENCOUNTER_SIMULATORS, *STREET_SIMULATORS)
 """Simulators whose worlds have roads that can be exported."""
 EXPORTED: Final = "scenario.xosc"

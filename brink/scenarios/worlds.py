@@ -17,7 +17,7 @@ from brink.scenarios.network import FlatGround, Ground, RoadNetwork
 from brink.scenarios.street_network import street_network
 from brink.scenarios.urban_network import UrbanGround, reach_of, urban_network
 from brink.sim.aeb.specification import AebScenario
-from brink.sim.aeb.street import END_M, LANE_Y_M, VAN_SIZE_M, Actor, make_street
+from brink.sim.aeb.street import END_M, LANE_Y_M, Actor, make_street
 from brink.sim.encounter.specification import EncounterScenario
 from brink.sim.episode import EpisodeSpec
 from brink.sim.rendering.scene import BodyKind as RenderedKind
@@ -213,5 +213,5 @@ def _street_bodies(actors: Sequence[Actor]) -> Mapping[str, Dimensions]:
 
 
 def _vehicle(length_m: float, width_m: float, height_m: float) -> Dimensions:
-    kind = BodyKind.VAN if length_m >= VAN_SIZE_M[0] else BodyKind.CAR
+    kind = BodyKind.VAN if length_m >= VAN.length_m else BodyKind.CAR
     return Dimensions(kind=kind, length_m=length_m, width_m=width_m, height_m=height_m)

@@ -118,6 +118,9 @@ class ActorView(TrackView):
     name: str
     kind: Annotated[str, Field(description="vehicle or pedestrian.")]
     shape: Annotated[str, Field(description="How it is drawn: car or person.")]
+    hidden: Annotated[
+        list[bool], Field(description="Whether it is within the camera's image, but hidden from the camera.")
+    ]
 
 
 class SurfaceView(View):
@@ -314,6 +317,9 @@ class EpisodeView(View):
     story: StoryView | None
     words: EpisodeWords
     camera: PictureCamera
+    pitch_rad: Annotated[
+        Column, Field(description="Pitch of the camera, positive if it looks up; 0 if it was not recorded.")
+    ]
     film: FilmView | None
     guard: Annotated[GuardView | None, Field(description="Null for a car without a guard.")] = None
     reference: Annotated[
@@ -374,7 +380,10 @@ def episode_view(trace: Trace, judged: Sequence[str]) -> EpisodeView:
         route_layer=scene.route_layer,
         centre=CentreView.model_construct(x_m=_metres(centre_x_m), y_m=_metres(centre_y_m)),
         actors=[
-            _actor(actor, brakes) for actor, brakes in zip(trace.actors, scene.actors_brake, strict=True)
+            _actor(actor, brakes, hidden)
+            for actor, brakes, hidden in zip(
+                trace.actors, scene.actors_brake, scene.actors_hidden, strict=True
+            )
         ],
         scene=[_surface(surface) for surface in trace.scene],
         shapes=ShapesView.model_construct(**SHAPES._asdict()),
@@ -413,6 +422,7 @@ def episode_view(trace: Trace, judged: Sequence[str]) -> EpisodeView:
             ghosts=[ghost_words(trace, label) for label in range(len(LABELS))],
         ),
         camera=_camera(),
+        pitch_rad=_column(scene.pitch_rad, _ANGLE),
         film=None if trace.film is None else _film(trace, trace.film),
         guard=None if trace.guard is None else _guard(trace, trace.guard),
         reference=_reference(trace, judged),
@@ -540,11 +550,12 @@ def _track(motion: FloatArray, size_m: tuple[float, float], brakes: Flags) -> di
     }
 
 
-def _actor(actor: ActorTrack, brakes: Flags) -> ActorView:
+def _actor(actor: ActorTrack, brakes: Flags, hidden: Flags) -> ActorView:
     return ActorView.model_construct(
         name=str(actor.name),
         kind=str(actor.kind),
         shape="car" if is_car(actor) else "person",
+        hidden=hidden.tolist(),
         **_track(actor.motion, (actor.length_m, actor.width_m), brakes),
     )
 

@@ -45,7 +45,7 @@ from brink.sim.perception.user_files import (
 from brink.sim.perturbations import CATALOGUE
 from brink.worker.wire import Completed
 
-SIMULATOR = "brink-aeb@2"
+SIMULATOR = "brink-aeb@3"
 EVALUATOR = "brink-dataset@2"
 ACCIDENT = "no-collision@1"
 DANGEROUS_STOP = "no-dangerous-stop@1"

@@ -28,6 +28,7 @@ from brink.server.problems.base import (
     is_number,
     wrong_detector,
 )
+from brink.server.problems.camera_settings import latency_setting, least_visible_setting, pitch_setting
 from brink.server.problems.traffic_changes import words_of_traffic_change
 from brink.sim.encounter.specification import (
     PLACE_FIELDS,
@@ -38,10 +39,11 @@ from brink.sim.encounter.specification import (
 )
 from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
+from brink.sim.urban.options import CAMERA_OPTIONS
 from brink.sim.world.scenario import SCENARIO_CHOICES, UrbanScenario
 from brink.worker.wire import Completed
 
-SIMULATORS: Final = {"oracle": "brink-encounter@1", "detector": "brink-encounter-camera@2"}
+SIMULATORS: Final = {"oracle": "brink-encounter@2", "detector": "brink-encounter-camera@3"}
 """Simulators by the perception of the driving system."""
 ORACLES: Final = (
     "no-collision@1",
@@ -109,6 +111,9 @@ class NpcActionsParams:
     time_of_day: str = setting("noon", help="Time of day.", choices=_words("time_of_day"))
     weather: str = setting("clear", help="Sky, rain and road surface.", choices=_words("weather"))
     duration_s: float = setting(25.0, help="Length of an episode.", ge=5.0, le=120.0, unit="s")
+    latency_s: float = latency_setting()
+    pitch: bool = pitch_setting()
+    least_visible: float = least_visible_setting()
     timeout_s: float = setting(60.0, help="Wall-clock limit of an episode.", gt=0.0, le=3600.0, unit="s")
 
     def __post_init__(self) -> None:
@@ -215,7 +220,7 @@ class NpcActions(SimulatedProblem):
             requirements=self.evaluated,
             seed=seed,
             duration_s=self.params.duration_s,
-            options={REFERENCE: True},
+            options={REFERENCE: True, **{name: getattr(self.params, name) for name in CAMERA_OPTIONS}},
         )
 
     def _behaviour(self) -> dict[str, Json]:

@@ -23,8 +23,8 @@ from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
 from brink.sim.world.scenario import words_of_scenario
 
-SIMULATOR = "brink-drive-camera@2"
-WITH_TRUTH = "brink-drive-errors@1"
+SIMULATOR = "brink-drive-camera@3"
+WITH_TRUTH = "brink-drive-errors@2"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +74,7 @@ class UrbanScenarios(SimulatedProblem):
             requirements=self.evaluated,
             seed=seed,
             duration_s=self.params.duration_s,
-            options={"fidelity": self.params.fidelity},
+            options=self.params.options,
         )
 
     def with_truth(self) -> Self | None:

@@ -45,7 +45,7 @@ from brink.sim.urban.detection_errors import (
 from brink.sim.urban.error_meter import MEASURED
 from brink.sim.world.scenario import words_of_scenario
 
-SIMULATOR = "brink-drive-errors@1"
+SIMULATOR = "brink-drive-errors@2"
 LATEST_ONSET_S: Final = 12.0
 COVERED: Final = (
     ErrorType.MISS,
@@ -153,7 +153,7 @@ class UrbanErrors(PerceptionErrors[DetectionError]):
             requirements=self.evaluated,
             seed=seed,
             duration_s=self.params.duration_s,
-            options={"fidelity": self.params.fidelity},
+            options=self.params.options,
         )
 
     def error(self, behaviour: Values, slot: Slot) -> DetectionError:

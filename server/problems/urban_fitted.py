@@ -18,7 +18,7 @@ from brink.sim.episode import Json
 from brink.sim.errors import InvalidEpisode
 from brink.sim.urban.error_process import MODE, ErrorProcess, FittedErrors
 
-SIMULATOR = "brink-drive-fitted@1"
+SIMULATOR = "brink-drive-fitted@2"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

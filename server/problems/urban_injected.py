@@ -29,6 +29,7 @@ from brink.search.space import (
     SearchSpace,
 )
 from brink.server.problems.base import BEHAVIOUR, Activity, SeverityScale, SimulatedSolution, Vectors
+from brink.server.problems.camera_settings import latency_setting, least_visible_setting, pitch_setting
 from brink.server.problems.error_slots import SCENARIO, SlottedBehaviour, interchangeable, prefixes
 from brink.server.problems.requirements import check_requirements, chosen_requirements, requirement_setting
 from brink.server.problems.resolutions import RESOLUTION_PX
@@ -38,6 +39,7 @@ from brink.sim.catalogue import plugin_ids
 from brink.sim.driving.interface import PERCEPTION_STEP_S
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.urban import behaviour as b
+from brink.sim.urban.options import BICYCLE, FIDELITIES, DriveOptions
 from brink.sim.world.scenario import (
     PEDESTRIAN_COUNTS,
     ROAD_IDS,
@@ -46,7 +48,7 @@ from brink.sim.world.scenario import (
     words_of_scenario,
 )
 
-SIMULATOR = "brink-drive@2"
+SIMULATOR = "brink-drive@3"
 REQUIREMENTS = (
     "front-gap@1",
     "no-collision@1",
@@ -77,12 +79,25 @@ class UrbanParams:
     duration_s: float = setting(
         b.DEFAULT_DURATION_S, ge=5.0, le=120.0, unit="s", help="Length of an episode."
     )
-    fidelity: str = setting("bicycle", help="Vehicle model of the ego.", choices=("bicycle", "wheels"))
+    fidelity: str = setting(BICYCLE, help="Vehicle model of the ego.", choices=FIDELITIES)
+    latency_s: float = latency_setting()
+    pitch: bool = pitch_setting()
+    least_visible: float = least_visible_setting()
     timeout_s: float = setting(60.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")
 
     def __post_init__(self) -> None:
         check_settings(self)
         check_requirements(self.requirement, plugin_ids(REQUIREMENT_PLUGINS))
+
+    @property
+    def options(self) -> dict[str, Json]:
+        """The options of each episode."""
+        return DriveOptions(
+            fidelity=self.fidelity,
+            latency_s=self.latency_s,
+            pitch=self.pitch,
+            least_visible=self.least_visible,
+        ).to_json()
 
     @property
     def requirements(self) -> tuple[str, ...]:
@@ -212,7 +227,7 @@ class UrbanInjected(SlottedBehaviour):
             requirements=self.evaluated,
             seed=seed,
             duration_s=self.params.duration_s,
-            options={"fidelity": self.params.fidelity},
+            options=self.params.options,
         )
 
     def _behaviour(self, values: Mapping[str, Any]) -> dict[str, Json]:

@@ -24,7 +24,7 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
-from brink.sim.aeb.braking import EmergencyBrake
+from brink.sim.aeb.braking import CRUISE_MPS, Region
 from brink.sim.aeb.labels import label_frame
 from brink.sim.aeb.scores import decision_accuracy
 from brink.sim.aeb.specification import (
@@ -37,7 +37,7 @@ from brink.sim.aeb.specification import (
     SightMode,
     check_weights,
 )
-from brink.sim.aeb.street import CRUISE_MPS, KERB_M, LANE_M, LANE_Y_M, PERSON_SIZE_M, STRIP_M, make_street
+from brink.sim.aeb.street import KERB_M, LANE_M, LANE_Y_M, PERSON_SIZE_M, STRIP_M, make_street
 from brink.sim.bullet.engine import bullet_versions
 from brink.sim.episode import EpisodeResult, EpisodeSpec, parse_integer
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
@@ -255,7 +255,7 @@ class DatasetEvaluator:
         decisions = decision_accuracy(
             [truth for _, truth in frames],
             detections,
-            [EmergencyBrake.for_picture(*picture.shape[1::-1]).warning for picture, _ in frames],
+            [Region.from_reference(*picture.shape[1::-1], warning=True) for picture, _ in frames],
             behaviour.threshold,
         )
         if math.isfinite(decisions):

@@ -3,13 +3,12 @@
 A box covers the visible pixels of a body, because hidden parts cannot be detected and say nothing about how near the
 body is to the lane. Bodies that are almost hidden and boxes that are too small are *ignored*: a detection on them
 counts neither for nor against a detector, and training leaves them out. The geometric ground truth of
-`brink.sim.aeb.sight.OracleSight` applies the same limits to whole boxes, since it has no pixels.
+`brink.sim.driving.camera` applies the same limits to whole boxes, since it has no pixels.
 """
-
-from typing import Final
 
 import numpy as np
 
+from brink.sim.driving.camera import LEAST_VISIBLE
 from brink.sim.perception.boxes import (
     MIN_HEIGHT_SHARE,
     MIN_WIDTH_SHARE,
@@ -21,8 +20,6 @@ from brink.sim.perception.detector import LABELS
 from brink.sim.rendering.canvas import seen_bodies, visible_bodies
 from brink.sim.rendering.scene import BodyKind, Frame
 
-MIN_VISIBLE: Final = 0.25
-"""Bodies of which a smaller share is visible are ignored."""
 VEHICLE, PERSON = (LABELS.index(name) for name in ("vehicle", "person"))
 
 
@@ -40,7 +37,7 @@ def label_frame(frame: Frame) -> LabelledFrame:
         truth=GroundTruth(
             labels=np.array([_label(body.kind) for body, _ in seen], np.int64),
             boxes=boxes,
-            ignored=too_small(boxes, width_px, height_px) | (visible < MIN_VISIBLE),
+            ignored=too_small(boxes, width_px, height_px) | (visible < LEAST_VISIBLE),
         ),
         depths_m=np.array([body.depth_m for body, _ in seen], np.float32),
         visible=visible,
@@ -51,7 +48,7 @@ def label_boxes(frame: Frame) -> GroundTruth:
     """Return the ground truth of `label_frame` in less than half its time."""
     height_px, width_px = frame.image.shape[:2]
     least_px = MIN_WIDTH_SHARE * width_px, MIN_HEIGHT_SHARE * height_px
-    seen = seen_bodies(frame, least_px=least_px, least_share=MIN_VISIBLE)
+    seen = seen_bodies(frame, least_px=least_px, least_share=LEAST_VISIBLE)
     return GroundTruth(
         labels=np.array([_label(body.kind) for body in seen], np.int64),
         boxes=np.array([body.box for body in seen], np.float32).reshape(len(seen), 4),

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from brink.sim.aeb.braking import PERSON, VEHICLE, EmergencyBrake, Region
+from brink.sim.aeb.braking import Region
 from brink.sim.perception.boxes import (
     BoolArray,
     Detections,
@@ -24,7 +24,7 @@ from brink.sim.trace import Film
 
 MIN_VEHICLE_HEIGHT_M: Final = 0.3
 """Lower than any vehicle and than a fallen tree."""
-_PERSON, _VEHICLE = LABELS.index(PERSON), LABELS.index(VEHICLE)
+_PERSON, _VEHICLE = LABELS.index("person"), LABELS.index("vehicle")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,7 +153,7 @@ def rescore(film: Film, threshold: float) -> Scores:
                 scores=np.ascontiguousarray(detected[:, 5]),
             )
         )
-    return score_episode(truths, detections, threshold, EmergencyBrake.for_picture(*film.size_px).warning)
+    return score_episode(truths, detections, threshold, Region.from_reference(*film.size_px, warning=True))
 
 
 def _side(

@@ -13,11 +13,13 @@ from enum import StrEnum
 from typing import Final, Self
 
 from brink.sim.aeb.braking import HOLD_S, PERSON_FRAMES, PERSON_WINDOW
+from brink.sim.driving.interface import LATENCY_S
 from brink.sim.episode import Json, JsonObject, nearest, parse_choice, parse_integer, parse_number
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
 from brink.sim.perturbations import CATALOGUE, Mode, Perturbation, PerturbationError, parse_perturbations
 from brink.sim.urban.behaviour import DEFAULT_DURATION_S, DetectorBehaviour, InjectedTrajectory
+from brink.sim.urban.options import MAX_LATENCY_S
 from brink.sim.world.scenario import TimeOfDay, Weather
 
 TIMES = tuple(TimeOfDay)
@@ -205,12 +207,16 @@ class Options:
         hold_s: How long braking continues without a trigger.
         braking: Whether the brake works.
         person_frames: Number of the last three frames in which a person must be reported to trigger it, 1 to 3.
+        latency_s: Time from an image to the arrival of what was detected in it, in [0, `MAX_LATENCY_S`].
+        pitch: Whether the camera pitches with the car's body.
     """
 
     size_px: tuple[int, int] = SIZE_PX
     hold_s: float = HOLD_S
     braking: bool = True
     person_frames: int = PERSON_FRAMES
+    latency_s: float = LATENCY_S
+    pitch: bool = True
 
     @classmethod
     def from_json(cls, document: Mapping[str, Json]) -> Self:
@@ -219,15 +225,19 @@ class Options:
         Raises:
             InvalidEpisode: A field is unknown or invalid.
         """
-        known = ("width_px", "height_px", "hold_s", "braking", "person_frames")
+        known = ("width_px", "height_px", "hold_s", "braking", "person_frames", "latency_s", "pitch")
         for name in document:
             if name not in known:
                 raise InvalidEpisode(f"options: unknown field {name!r}{nearest(name, known)}")
         width_px = parse_number("options.width_px", document.get("width_px", SIZE_PX[0]), 64, 4096)
         height_px = parse_number("options.height_px", document.get("height_px", SIZE_PX[1]), 64, 4096)
-        braking = document.get("braking", True)
-        if not isinstance(braking, bool):
-            raise InvalidEpisode(f"options.braking: expected true or false, got {braking!r}")
+        switches = {name: document.get(name, True) for name in ("braking", "pitch")}
+        for name, value in switches.items():
+            if not isinstance(value, bool):
+                raise InvalidEpisode(f"options.{name}: expected true or false, got {value!r:.80}")
+        latency_s = parse_number(
+            "options.latency_s", document.get("latency_s", LATENCY_S), 0.0, MAX_LATENCY_S
+        )
         hold_s = parse_number("options.hold_s", document.get("hold_s", HOLD_S), 0.0, 10.0)
         person_frames = parse_integer(
             "options.person_frames", document.get("person_frames", PERSON_FRAMES), 1, PERSON_WINDOW
@@ -235,8 +245,10 @@ class Options:
         return cls(
             size_px=(round(width_px), round(height_px)),
             hold_s=hold_s,
-            braking=braking,
+            braking=switches["braking"] is True,
             person_frames=person_frames,
+            latency_s=latency_s,
+            pitch=switches["pitch"] is True,
         )
 
 

@@ -6,12 +6,14 @@ gaps, people on the pavement) comes from the episode's seed.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from brink.sim.aeb.braking import CRUISE_MPS
 from brink.sim.aeb.specification import AebScenario, Obstacle, Occluder
+from brink.sim.driving.interface import CONTROL_STEP_S
 from brink.sim.rendering.furniture import FURNITURE_SIZE_M
 from brink.sim.rendering.scene import (
     Body,
@@ -25,11 +27,18 @@ from brink.sim.rendering.scene import (
     StreetScene,
     Tree,
 )
+from brink.sim.trace import Surface
+from brink.sim.world.ego import EGO_CAR, CarModel, EgoCar, EgoMotion
+from brink.sim.world.line import Piece, ReferenceLine
+from brink.sim.world.pedestrians import WALK_ACCEL_MPS2
+from brink.sim.world.road import Fixture, LaneRoute, Road, RoadStyle, Scenery, SignalPlan
+from brink.sim.world.scenario import RoadCurve
 from brink.sim.world.streams import Stream, generator
+from brink.sim.world.vehicle import CAR, VAN, VehicleSize, brake_lights_on
+from brink.sim.world.weather import Conditions, conditions
 
 LANE_M: Final = 3.5
 LANE_Y_M: Final = -0.5 * LANE_M
-CRUISE_MPS: Final = 8.0
 WALKING_MPS: Final = 2.0
 STRIP_M: Final = 2.2
 KERB_M: Final = LANE_M + STRIP_M
@@ -39,43 +48,62 @@ END_M: Final = 160.0
 EGO_FRONT_M: Final = 2.25
 """From the ego's centre to its front bumper."""
 PERSON_SIZE_M: Final = (0.45, 0.55, 1.75)
-CAR_SIZE_M: Final = (4.4, 1.8, 1.5)
-VAN_SIZE_M: Final = (5.6, 2.0, 2.3)
 TREE_SIZE_M: Final = (2.6, 1.0, 0.9)
 OVERTURNED_SIZE_M: Final = (4.4, 1.8, 1.35)
+TRUNK_M: Final = 0.4
 GAP_M: Final = 1.6
 """Gap between the two parked vehicles that the pedestrian steps out of."""
 BRAKES_MPS2: Final = 5.0
 STARTS_MPS2: Final = 1.5
+PAST_LINE_M: Final = 15.0
+"""The ego's goal is this far beyond the pedestrian's line."""
 YIELDS_WITHIN_M: Final = 16.0
 """Oncoming vehicles closer than this to a crossing pedestrian brake."""
 
 
-@dataclass(slots=True, kw_only=True)
 class Actor:
-    """A body that moves along its heading.
+    """A body that moves along its heading. Stateful; created for each episode.
 
-    Attributes:
+    Args:
         name: Unique in the episode.
         body: Its appearance, size and initial pose.
-        x_m: Current position.
-        y_m: Current position.
-        speed_mps: Current speed along its heading.
+        speed_mps: Speed at the start, along its heading.
         cruise_mps: Target speed.
         starts_s: When it begins to move.
         stops_after_m: Distance after which it stops.
-        travelled_m: Distance travelled so far.
     """
 
-    name: str
-    body: Body
-    x_m: float
-    y_m: float
-    speed_mps: float = 0.0
-    cruise_mps: float = 0.0
-    starts_s: float = 0.0
-    stops_after_m: float = math.inf
-    travelled_m: float = field(default=0.0)
+    def __init__(
+        self,
+        name: str,
+        body: Body,
+        *,
+        speed_mps: float = 0.0,
+        cruise_mps: float = 0.0,
+        starts_s: float = 0.0,
+        stops_after_m: float = math.inf,
+    ) -> None:
+        self.name = name
+        self.body = body
+        self.x_m, self.y_m, self.yaw_rad = body.x_m, body.y_m, body.yaw_rad
+        self.length_m, self.width_m = body.length_m, body.width_m
+        self.size = VehicleSize(body.length_m, body.width_m, body.height_m)
+        self.is_person = body.kind is BodyKind.PERSON
+        self.is_vehicle = body.kind is BodyKind.VEHICLE
+        self.speed_mps = speed_mps
+        self.accel_mps2 = 0.0
+        self._cruise_mps = cruise_mps
+        self._starts_s = starts_s
+        self._stops_after_m = stops_after_m
+        self._travelled_m = 0.0
+        self._braking_mps2, self._starting_mps2 = (
+            (WALK_ACCEL_MPS2, WALK_ACCEL_MPS2) if self.is_person else (BRAKES_MPS2, STARTS_MPS2)
+        )
+
+    @property
+    def is_on_the_way(self) -> bool:
+        """Whether it has begun to move and not yet arrived."""
+        return 0.0 < self._travelled_m < self._stops_after_m
 
     def advance(self, time_s: float, dt_s: float, *, waits: bool = False) -> None:
         """Advance by one step.
@@ -83,36 +111,24 @@ class Actor:
         Args:
             time_s: Start of the step.
             dt_s: Length of the step.
-            waits: Whether it yields; a vehicle then brakes.
+            waits: Whether it yields.
         """
-        moves = time_s >= self.starts_s - 1e-9 and self.travelled_m < self.stops_after_m and not waits
-        target_mps = self.cruise_mps if moves else 0.0
-        if self.body.kind is BodyKind.VEHICLE:
-            target_mps = min(
-                max(target_mps, self.speed_mps - BRAKES_MPS2 * dt_s), self.speed_mps + STARTS_MPS2 * dt_s
-            )
-        self.speed_mps = target_mps
+        moves = time_s >= self._starts_s - 1e-9 and self._travelled_m < self._stops_after_m and not waits
+        slowest_mps = self.speed_mps - self._braking_mps2 * dt_s
+        fastest_mps = self.speed_mps + self._starting_mps2 * dt_s
+        speed_mps = min(max(self._cruise_mps if moves else 0.0, slowest_mps), fastest_mps)
+        self.accel_mps2 = (speed_mps - self.speed_mps) / dt_s
+        self.speed_mps = speed_mps
         step_m = self.speed_mps * dt_s
-        self.travelled_m += step_m
-        self.x_m += step_m * math.cos(self.body.yaw_rad)
-        self.y_m += step_m * math.sin(self.body.yaw_rad)
+        self._travelled_m += step_m
+        self.x_m += step_m * math.cos(self.yaw_rad)
+        self.y_m += step_m * math.sin(self.yaw_rad)
 
     def current_body(self) -> Body:
         """Return the actor's body at its current position."""
-        body = self.body
-        person = body.kind is BodyKind.PERSON
-        return Body(
-            id=body.id,
-            kind=body.kind,
-            x_m=self.x_m,
-            y_m=self.y_m,
-            yaw_rad=body.yaw_rad,
-            length_m=body.length_m,
-            width_m=body.width_m,
-            height_m=body.height_m,
-            look=body.look,
-            phase=(self.travelled_m * 2.0 * math.pi / 1.4) if person else 0.0,
-        )
+        phase = self._travelled_m * 2.0 * math.pi / 1.4 if self.is_person else 0.0
+        braking = self.is_vehicle and brake_lights_on(self.speed_mps, self.accel_mps2)
+        return replace(self.body, x_m=self.x_m, y_m=self.y_m, phase=phase, braking=braking)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,19 +143,125 @@ class Street:
     scene: StreetScene
     actors: tuple[Actor, ...]
 
-    def advance(self, time_s: float, dt_s: float) -> None:
-        """Advance all actors; oncoming vehicles yield to the pedestrian."""
-        pedestrian = self.actors[0]
-        for actor in self.actors:
-            actor.advance(
-                time_s, dt_s, waits=actor.name.startswith("oncoming") and _gives_way(actor, pedestrian)
-            )
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreetWorld:
+    """The world of an emergency-braking episode; its members are stateful.
+
+    Attributes:
+        street: What is seen of it, and the actors.
+        road: The road.
+        route: The ego's route, which ends beyond the pedestrian's line.
+        weather: Effects of time of day and weather.
+        ego: The car under test.
+        vehicles: All actors except people: vehicles and the obstacle.
+        walkers: The pedestrian and the stroller.
+        signals: None: there are no traffic lights.
+        leaves_road_m: Infinite: the ego's route stays on the road.
+    """
+
+    street: Street
+    road: Road
+    route: LaneRoute
+    weather: Conditions
+    ego: EgoMotion
+    vehicles: tuple[Actor, ...]
+    walkers: tuple[Actor, ...]
+    signals: SignalPlan | None = None
+    leaves_road_m: float = math.inf
+
+    def advance(self, step: int) -> None:
+        """Advance all actors by one step; oncoming vehicles yield to the pedestrian."""
+        pedestrian = self.street.actors[0]
+        for actor in self.street.actors:
+            waits = actor.name.startswith("oncoming") and _gives_way(actor, pedestrian)
+            actor.advance(step * CONTROL_STEP_S, CONTROL_STEP_S, waits=waits)
+
+    def grade_at(self, station_m: float) -> float:
+        """Return the grade of the ego's route, which is level."""
+        return 0.0
 
 
 def _gives_way(vehicle: Actor, pedestrian: Actor) -> bool:
-    ahead_m = vehicle.x_m - 0.5 * vehicle.body.length_m - pedestrian.x_m
-    walks = 0.0 < pedestrian.travelled_m < pedestrian.stops_after_m
-    return walks and 0.0 < ahead_m < YIELDS_WITHIN_M and pedestrian.y_m < vehicle.y_m + 2.0
+    ahead_m = vehicle.x_m - 0.5 * vehicle.length_m - pedestrian.x_m
+    return pedestrian.is_on_the_way and 0.0 < ahead_m < YIELDS_WITHIN_M and pedestrian.y_m < vehicle.y_m + 2.0
+
+
+def make_street_world(scenario: AebScenario, seed: int, car: CarModel = EGO_CAR) -> StreetWorld:
+    """Return the world of an episode at time 0.
+
+    Args:
+        scenario: The scenario.
+        seed: The episode's seed.
+        car: The ego's car.
+    """
+    street = make_street(scenario, seed)
+    weather = conditions(scenario.time_of_day, scenario.weather)
+    road = _road(street.scene)
+    goal_m = EGO_FRONT_M + scenario.crossing_m + PAST_LINE_M
+    return StreetWorld(
+        street=street,
+        road=road,
+        route=LaneRoute(
+            line=road.forward.up_to(goal_m),
+            lane_width_m=LANE_M,
+            speed_limit_mps=CRUISE_MPS + 2.0,
+            oncoming=((BEGIN_M, END_M),),
+        ),
+        weather=weather,
+        ego=EgoCar(road.forward.pose_at(0.0), CRUISE_MPS, friction=weather.friction, model=car),
+        vehicles=tuple(actor for actor in street.actors if not actor.is_person),
+        walkers=tuple(actor for actor in street.actors if actor.is_person),
+    )
+
+
+_STYLE: Final = RoadStyle(0.0, 0.0, LANE_M, parking=True, main_stream=0, pace=1.0)
+_SURFACES: Final = {Material.ASPHALT: "road", Material.PAVEMENT: "pavement", Material.MARKING: "marking"}
+
+
+def _road(scene: StreetScene) -> Road:
+    """Return the road, a straight line along x, with the scenery of a scene."""
+    centre = ReferenceLine(0.0, 0.0, 0.0, (Piece(END_M),))
+    still: list[tuple[str, Building | Body | Tree, float, float, float]] = [
+        ("building", body, body.yaw_rad, body.length_m, body.width_m) for body in scene.buildings
+    ]
+    still += [("parked-car", body, body.yaw_rad, body.length_m, body.width_m) for body in scene.parked]
+    still += [("tree", tree, 0.0, TRUNK_M, TRUNK_M) for tree in scene.trees]
+    fixtures = tuple(
+        Fixture(
+            kind=kind,
+            x_m=one.x_m,
+            y_m=one.y_m,
+            yaw_rad=yaw_rad,
+            length_m=length_m,
+            width_m=width_m,
+            height_m=one.height_m,
+        )
+        for kind, one, yaw_rad, length_m, width_m in still
+    )
+    return Road(
+        curve=RoadCurve.STRAIGHT,
+        style=_STYLE,
+        length_m=END_M,
+        centre=centre,
+        forward=centre.parallel(LANE_Y_M),
+        backward=centre.parallel(-LANE_Y_M).backwards(),
+        junctions=(),
+        crossing_m=math.inf,
+        scenery=Scenery(
+            fixtures=fixtures,
+            surfaces=tuple(
+                Surface(
+                    kind=_SURFACES[ground.material],
+                    points=ground.points.astype(np.float32),
+                    closed=True,
+                    width_m=0.0,
+                )
+                for ground in scene.ground
+                if ground.material in _SURFACES
+            ),
+        ),
+    )
 
 
 def make_street(scenario: AebScenario, seed: int) -> Street:
@@ -290,19 +412,19 @@ def _item(
 def _parked(scenario: AebScenario, seed: int, line_x_m: float) -> tuple[Body, ...]:
     """Return parked vehicles on both sides; on the ego's side, two of them enclose the pedestrian's gap."""
     rng = generator(seed, Stream.LOOKS)
-    places: list[tuple[float, float, tuple[float, float, float]]] = []
-    before = VAN_SIZE_M if scenario.occluder is Occluder.VAN else CAR_SIZE_M
-    first_x_m = line_x_m - 0.5 * GAP_M - 0.5 * before[0]
-    places += [(first_x_m, -1.0, before), (line_x_m + 0.5 * (GAP_M + CAR_SIZE_M[0]), -1.0, CAR_SIZE_M)]
+    places: list[tuple[float, float, VehicleSize]] = []
+    before = VAN if scenario.occluder is Occluder.VAN else CAR
+    first_x_m = line_x_m - 0.5 * GAP_M - 0.5 * before.length_m
+    places += [(first_x_m, -1.0, before), (line_x_m + 0.5 * (GAP_M + CAR.length_m), -1.0, CAR)]
     for side in (-1.0, 1.0):
         x_m = BEGIN_M + 4.0
         while x_m < END_M - 10.0:
-            size = VAN_SIZE_M if rng.random() < 0.15 else CAR_SIZE_M
+            size = VAN if rng.random() < 0.15 else CAR
             free = rng.random() < 0.25
-            near_gap = side < 0 and first_x_m - 5.2 - before[0] / 2 < x_m < line_x_m + 10.5
+            near_gap = side < 0 and first_x_m - 5.2 - before.length_m / 2 < x_m < line_x_m + 10.5
             if not (free or near_gap):
                 places.append((x_m, side, size))
-            x_m += size[0] + float(rng.uniform(0.8, 1.6))
+            x_m += size.length_m + float(rng.uniform(0.8, 1.6))
     return tuple(
         Body(
             id=index + 1,
@@ -310,9 +432,9 @@ def _parked(scenario: AebScenario, seed: int, line_x_m: float) -> tuple[Body, ..
             x_m=x_m,
             y_m=side * (LANE_M + 0.5 * STRIP_M + 0.05),
             yaw_rad=0.0 if side < 0 else math.pi,
-            length_m=size[0],
-            width_m=size[1],
-            height_m=size[2],
+            length_m=size.length_m,
+            width_m=size.width_m,
+            height_m=size.height_m,
             look=int(rng.integers(1_000)),
         )
         for index, (x_m, side, size) in enumerate(places)
@@ -325,14 +447,14 @@ def _actors(scenario: AebScenario, seed: int, line_x_m: float, first_id: int) ->
     for index, ahead_m in enumerate(
         (scenario.oncoming_m, scenario.oncoming_m + float(traffic.uniform(25.0, 45.0)))
     ):
-        size = VAN_SIZE_M if traffic.random() < 0.3 else CAR_SIZE_M
+        size = VAN if traffic.random() < 0.3 else CAR
         actors.append(
             _vehicle(
                 f"oncoming-{index + 1}", first_id + 2 + index, traffic, size, ahead_m, 0.5 * LANE_M, math.pi
             )
         )
     ahead_m = float(traffic.uniform(38.0, 50.0))
-    actors.append(_vehicle("ahead", first_id + 4, traffic, CAR_SIZE_M, ahead_m, LANE_Y_M, 0.0))
+    actors.append(_vehicle("ahead", first_id + 4, traffic, CAR, ahead_m, LANE_Y_M, 0.0))
     if scenario.obstacle is not Obstacle.NONE:
         actors.append(_obstacle(scenario.obstacle, people, line_x_m, first_id + 5))
     return tuple(actors)
@@ -356,12 +478,10 @@ def _pedestrian(scenario: AebScenario, rng: np.random.Generator, line_x_m: float
         look=int(rng.integers(1_000)),
     )
     return Actor(
-        name="pedestrian",
-        body=body,
-        x_m=line_x_m,
-        y_m=from_y_m,
+        "pedestrian",
+        body,
         cruise_mps=WALKING_MPS,
-        starts_s=arrival_s - travelled_m / WALKING_MPS,
+        starts_s=arrival_s - travelled_m / WALKING_MPS - 0.5 * WALKING_MPS / WALK_ACCEL_MPS2,
         stops_after_m=2.0 * (KERB_M + 0.8),
     )
 
@@ -382,14 +502,15 @@ def _stroller(rng: np.random.Generator, number: int) -> Actor:
         height_m=height_m,
         look=int(rng.integers(1_000)),
     )
-    return Actor(name="stroller", body=body, x_m=x_m, y_m=y_m, cruise_mps=float(rng.uniform(1.0, 1.5)))
+    speed_mps = float(rng.uniform(1.0, 1.5))
+    return Actor("stroller", body, speed_mps=speed_mps, cruise_mps=speed_mps)
 
 
 def _vehicle(
     name: str,
     number: int,
     rng: np.random.Generator,
-    size: tuple[float, float, float],
+    size: VehicleSize,
     x_m: float,
     y_m: float,
     yaw_rad: float,
@@ -400,13 +521,13 @@ def _vehicle(
         x_m=x_m,
         y_m=y_m,
         yaw_rad=yaw_rad,
-        length_m=size[0],
-        width_m=size[1],
-        height_m=size[2],
+        length_m=size.length_m,
+        width_m=size.width_m,
+        height_m=size.height_m,
         look=int(rng.integers(1_000)),
     )
     cruise_mps = float(rng.uniform(8.2, 9.5))
-    return Actor(name=name, body=body, x_m=x_m, y_m=y_m, speed_mps=cruise_mps, cruise_mps=cruise_mps)
+    return Actor(name, body, speed_mps=cruise_mps, cruise_mps=cruise_mps)
 
 
 def _obstacle(obstacle: Obstacle, rng: np.random.Generator, line_x_m: float, number: int) -> Actor:
@@ -425,4 +546,4 @@ def _obstacle(obstacle: Obstacle, rng: np.random.Generator, line_x_m: float, num
         height_m=height_m,
         look=int(rng.integers(1_000)),
     )
-    return Actor(name=obstacle.value, body=body, x_m=x_m, y_m=y_m)
+    return Actor(obstacle.value, body)

@@ -140,12 +140,20 @@ def process_engine() -> Engine:
     return Engine()
 
 
+@cache
+def wheels_engine() -> Engine:
+    """Return the engine of this process in which a car on wheels moves alone: bodies of others would slow it down."""
+    return Engine()
+
+
 def discard_engine() -> None:
-    """Discard the engine of this process, which may be broken; `process_engine` then creates a new one."""
-    engine = process_engine()
-    process_engine.cache_clear()
-    with suppress(EngineError):
-        engine.close()
+    """Discard the engines of this process, which may be broken; new ones are created when they are needed."""
+    for made in (process_engine, wheels_engine):
+        engine = made() if made.cache_info().currsize else None
+        made.cache_clear()
+        if engine is not None:
+            with suppress(EngineError):
+                engine.close()
 
 
 @cache

@@ -16,14 +16,16 @@ from pathlib import Path
 
 import pybullet
 
-from brink.sim.bullet.engine import Engine
-from brink.sim.world.ego import EGO_CAR, GRAVITY_MPS2, PHYSICS_STEP_S, CarModel
+from brink.sim.bullet.engine import Engine, wheels_engine
+from brink.sim.world.ego import EGO_CAR, GRAVITY_MPS2, PHYSICS_STEP_S, BodyPitch, CarModel, DelayLine
 
 WHEEL_RADIUS_M = 0.32
 WHEEL_KG = 25.0
 KNUCKLE_KG = 2.0
 TRACK_M = 1.55
-SUBSTEPS = 2
+SOLVER_ITERATIONS = 12
+FAST_RADPS = 1_000.0
+"""Wheels turn towards this speed when the car accelerates, so that the torque decides and not the speed."""
 STEER_TORQUE_NM = 20_000.0
 HOLD_BELOW_MPS = 0.03
 ABS_SHARE = 1.0
@@ -36,7 +38,7 @@ class WheeledCar:
     """The ego on wheels, in place of `brink.sim.world.ego.EgoCar`. Create a new one for each episode.
 
     Args:
-        engine: An emptied engine; receives the ground and the car.
+        engine: The engine of the episode. The car has one of its own, in which nothing else moves.
         pose: x_m, y_m and yaw_rad at the start.
         speed_mps: Speed at the start.
         friction: Friction coefficient of the road.
@@ -60,9 +62,15 @@ class WheeledCar:
         self.accel_mps2 = 0.0
         self.steer_rad = 0.0
         self.yaw_rate_radps = 0.0
-        self._client = engine.client
+        own = wheels_engine()
+        own.reset()
+        self._client = own.client
         self._friction = friction
+        self.pitch_rad = 0.0
+        self._pitch = BodyPitch(model)
+        self._commands = DelayLine(model.delay_s)
         self._drive_mps2 = 0.0
+        self._steps = 0
         self._grade = 0.0
         self._make_ground()
         self._car = self._make_car(pose, speed_mps)
@@ -76,7 +84,9 @@ class WheeledCar:
         self._prepare(friction, speed_mps)
 
     def _make_ground(self) -> None:
-        pybullet.setTimeStep(PHYSICS_STEP_S / SUBSTEPS, physicsClientId=self._client)
+        pybullet.setPhysicsEngineParameter(
+            numSolverIterations=SOLVER_ITERATIONS, physicsClientId=self._client
+        )
         pybullet.setGravity(0.0, 0.0, -GRAVITY_MPS2, physicsClientId=self._client)
         shape = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
         ground = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
@@ -123,7 +133,7 @@ class WheeledCar:
             pybullet.resetJointState(
                 self._car, joint, 0.0, speed_mps / WHEEL_RADIUS_M, physicsClientId=client
             )
-        self._brake((*self._front, *self._rear), (0.0,) * 4)
+        self._turn((0.0,) * 4, (0.0,) * 4)
 
     def set_grade(self, grade: float) -> None:
         """Set the local slope of the road: rise over run along the heading, positive uphill."""
@@ -137,6 +147,12 @@ class WheeledCar:
             steer_rad: Desired angle of the road wheels.
             steps: Number of steps.
         """
+        for due_mps2, due_rad, lasts in self._commands.pass_on(accel_mps2, steer_rad, steps):
+            self._drive(due_mps2, due_rad, lasts)
+        self.pitch_rad = self._pitch.after(self.accel_mps2, steps * PHYSICS_STEP_S)
+
+    def _drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
+        """Drive with a command that takes effect now."""
         m, client = self.model, self._client
         # Slope and resistance act on the mass of the car, so they are modelled as part of gravity.
         along = GRAVITY_MPS2 * self._grade
@@ -149,29 +165,41 @@ class WheeledCar:
             physicsClientId=client,
         )
         steer_goal = min(max(steer_rad, -m.steer_limit_rad), m.steer_limit_rad)
-        most = m.steer_rate_radps * PHYSICS_STEP_S
-        for _ in range(steps):
-            self.steer_rad += min(max(steer_goal - self.steer_rad, -most), most)
-            top = min(m.engine_mps2, m.power_w / (m.mass_kg * max(self.speed_mps, 1.0)))
-            goal = min(max(accel_mps2, -m.brake_mps2), top)
-            lag_s = m.brake_lag_s if goal < self._drive_mps2 else m.engine_lag_s
-            self._drive_mps2 += (goal - self._drive_mps2) * PHYSICS_STEP_S / lag_s
-            self._actuate()
-            before = self.speed_mps
-            torque = 0.5 * max(self._drive_mps2, 0.0) * m.mass_kg * WHEEL_RADIUS_M
-            for _ in range(SUBSTEPS):
-                # The engine forgets torques after every step, but keeps motor settings.
-                pybullet.setJointMotorControlArray(
-                    self._car,
-                    self._front,
-                    pybullet.TORQUE_CONTROL,
-                    forces=(torque, torque),
-                    physicsClientId=client,
-                )
-                pybullet.stepSimulation(physicsClientId=client)
-            self._read(before)
+        most = m.steer_rate_radps * PHYSICS_STEP_S * steps
+        self.steer_rad += min(max(steer_goal - self.steer_rad, -most), most)
+        if steps != self._steps:
+            # One call makes all steps: a call costs more than a step.
+            self._steps = steps
+            pybullet.setPhysicsEngineParameter(
+                fixedTimeStep=steps * PHYSICS_STEP_S, numSubSteps=steps, physicsClientId=client
+            )
+        self._actuate(self._mean_drive_mps2(accel_mps2, steps))
+        before = self.speed_mps
+        if before < HOLD_BELOW_MPS and self._drive_mps2 < 0.0:
+            # The brakes hold the car; the contacts of the engine would let it creep.
+            self.speed_mps = self.accel_mps2 = self.yaw_rate_radps = 0.0
+            return
+        pybullet.stepSimulation(physicsClientId=client)
+        self._read(before, steps * PHYSICS_STEP_S)
 
-    def _actuate(self) -> None:
+    def _mean_drive_mps2(self, accel_mps2: float, steps: int) -> float:
+        """Return the mean of what engine and brakes give over some steps, with their lags and rates."""
+        m, total = self.model, 0.0
+        top = min(m.engine_mps2, m.power_w / (m.mass_kg * max(self.speed_mps, 1.0)))
+        goal = min(max(accel_mps2, -m.brake_mps2), top)
+        for _ in range(steps):
+            drive = self._drive_mps2
+            if goal < drive:
+                change = max(
+                    (goal - drive) * PHYSICS_STEP_S / m.brake_lag_s, -m.brake_rate_mps3 * PHYSICS_STEP_S
+                )
+            else:
+                change = (goal - drive) * PHYSICS_STEP_S / (m.brake_lag_s if drive < 0.0 else m.engine_lag_s)
+            self._drive_mps2 = drive + change
+            total += self._drive_mps2
+        return total / steps
+
+    def _actuate(self, drive_mps2: float) -> None:
         client, m = self._client, self.model
         pybullet.setJointMotorControlArray(
             self._car,
@@ -181,9 +209,10 @@ class WheeledCar:
             forces=(STEER_TORQUE_NM, STEER_TORQUE_NM),
             physicsClientId=client,
         )
-        force_n = self._drive_mps2 * m.mass_kg
-        if force_n >= 0.0:
-            self._brake((*self._front, *self._rear), (0.0,) * 4)
+        force_n = drive_mps2 * m.mass_kg
+        if (force_n >= 0.0 and self.speed_mps >= HOLD_BELOW_MPS) or drive_mps2 > HOLD_BELOW_MPS:
+            torque = 0.5 * force_n * WHEEL_RADIUS_M
+            self._turn((FAST_RADPS, FAST_RADPS, 0.0, 0.0), (torque, torque, 0.0, 0.0))
             return
         half_load_n = 0.25 * m.mass_kg * GRAVITY_MPS2
         shift_n = 0.5 * m.gravity_height_m / m.wheelbase_m * m.mass_kg * self.accel_mps2
@@ -193,20 +222,24 @@ class WheeledCar:
         share = min(wanted_n / max(2.0 * (front_n + rear_n), 1.0), 1.0)
         if self.speed_mps < HOLD_BELOW_MPS:
             share = 1.0
-        front_torque, rear_torque = share * front_n * WHEEL_RADIUS_M, share * rear_n * WHEEL_RADIUS_M
-        self._brake((*self._front, *self._rear), (front_torque, front_torque, rear_torque, rear_torque))
+        front, rear = share * front_n * WHEEL_RADIUS_M, share * rear_n * WHEEL_RADIUS_M
+        self._turn((0.0,) * 4, (front, front, rear, rear))
 
-    def _brake(self, joints: tuple[int, ...], torques: tuple[float, ...]) -> None:
+    def _turn(self, speeds_radps: tuple[float, ...], torques_nm: tuple[float, ...]) -> None:
+        """Turn the wheels towards speeds with at most these torques. The engine keeps this for all steps of a call.
+
+        It turns a torque into an impulse for the time of the whole call, and applies that in each step.
+        """
         pybullet.setJointMotorControlArray(
             self._car,
-            joints,
+            (*self._front, *self._rear),
             pybullet.VELOCITY_CONTROL,
-            targetVelocities=(0.0,) * len(joints),
-            forces=torques,
+            targetVelocities=speeds_radps,
+            forces=[torque_nm / max(self._steps, 1) for torque_nm in torques_nm],
             physicsClientId=self._client,
         )
 
-    def _read(self, speed_before_mps: float) -> None:
+    def _read(self, speed_before_mps: float, lasted_s: float) -> None:
         client = self._client
         (x_m, y_m, _), turn = pybullet.getBasePositionAndOrientation(self._car, physicsClientId=client)
         (vx, vy, _), (_, _, yaw_rate) = pybullet.getBaseVelocity(self._car, physicsClientId=client)
@@ -216,7 +249,7 @@ class WheeledCar:
         self.yaw_rad += (heading - self.yaw_rad + math.pi) % (2.0 * math.pi) - math.pi
         self.x_m, self.y_m, self.yaw_rate_radps = x_m, y_m, yaw_rate
         self.speed_mps = max(vx * math.cos(self.yaw_rad) + vy * math.sin(self.yaw_rad), 0.0)
-        self.accel_mps2 = (self.speed_mps - speed_before_mps) / PHYSICS_STEP_S
+        self.accel_mps2 = (self.speed_mps - speed_before_mps) / lasted_s
 
 
 @cache

@@ -15,6 +15,8 @@ CONTROL_STEP_S: Final = 0.05
 """A driving system runs this often."""
 PERCEPTION_STEP_S: Final = 0.1
 """Its detectors report this often."""
+LATENCY_S: Final = 0.1
+"""From an image to the arrival of what was detected in it: exposure, transfer, detector."""
 
 
 class ObstacleLabel(StrEnum):
@@ -67,21 +69,30 @@ class Observation(NamedTuple):
     Attributes:
         time_s: Simulated time.
         ego: Localised state of the ego.
-        boxes: The detector's output at perception steps (10 Hz); None at the steps between.
+        boxes: The detector's output when a new one arrives (10 Hz); None at the steps between.
         light: The next traffic light, or None if none is detected.
+        seen_s: Time of the image that `boxes` and `light` were detected in, if it is older than `time_s`.
     """
 
     time_s: float
     ego: EgoState
     boxes: tuple[Box, ...] | None
     light: LightReading | None
+    seen_s: float | None = None
 
 
 class Command(NamedTuple):
-    """Command for the ego until the next control step."""
+    """Command for the ego until the next control step.
+
+    Attributes:
+        accel_mps2: Desired acceleration; negative brakes.
+        steer_rad: Desired angle of the road wheels.
+        emergency: Whether this is emergency braking, for which there should be a reason on the road.
+    """
 
     accel_mps2: float
     steer_rad: float
+    emergency: bool = False
 
 
 class PlanMode(StrEnum):
@@ -116,6 +127,22 @@ class PerceivedObstacle(NamedTuple):
     width_m: float
 
 
+class Crossing(NamedTuple):
+    """A pedestrian crossing on the route, where pedestrians have priority.
+
+    Attributes:
+        from_m: Station at which it begins.
+        to_m: Station at which it ends.
+        right_kerb_m: Offset of the kerb on the right.
+        left_kerb_m: Offset of the kerb on the left.
+    """
+
+    from_m: float
+    to_m: float
+    right_kerb_m: float
+    left_kerb_m: float
+
+
 class Route(Protocol):
     """The ego's lane centre line from start to goal, with map data."""
 
@@ -137,6 +164,11 @@ class Route(Protocol):
     @property
     def stop_line_stations_m(self) -> tuple[float, ...]:
         """Stations of the stop lines with a traffic light, ascending."""
+        ...
+
+    @property
+    def crossings(self) -> tuple[Crossing, ...]:
+        """The crossings at which pedestrians have priority, in driving order."""
         ...
 
     def pose_at(self, station_m: float, offset_m: float = 0.0) -> tuple[float, float, float]:

@@ -18,7 +18,7 @@ stop; after it disappears, the ego continues once the track has been dropped and
 import math
 from collections.abc import Sequence
 
-from brink.sim.driving.interface import LightReading, LightState, ObstacleLabel, Route
+from brink.sim.driving.interface import Crossing, LightReading, LightState, ObstacleLabel, Route
 from brink.sim.driving.obstacles import RoadObstacle
 from brink.sim.driving.settings import FollowSettings, LightSettings, SpeedSettings, YieldSettings
 
@@ -188,14 +188,18 @@ class GiveWay:
 
     Args:
         settings: Margins and times.
+        crossings: Where pedestrians have priority.
         length_m: Length of the ego's body.
         width_m: Width of the ego's body.
     """
 
-    __slots__ = ("_half_width_m", "_length_m", "_reasons", "_settings", "slow", "stops_m")
+    __slots__ = ("_crossings", "_half_width_m", "_length_m", "_reasons", "_settings", "slow", "stops_m")
 
-    def __init__(self, settings: YieldSettings, *, length_m: float, width_m: float) -> None:
+    def __init__(
+        self, settings: YieldSettings, crossings: Sequence[Crossing], *, length_m: float, width_m: float
+    ) -> None:
         self._settings = settings
+        self._crossings = crossings
         self._length_m = length_m
         self._half_width_m = 0.5 * width_m
         self._reasons: dict[int, tuple[float, float]] = {}
@@ -232,6 +236,10 @@ class GiveWay:
             if obstacle.near_m > last_m or obstacle.near_m < front_m - 0.5:
                 continue
             stop_m = self._stop_m(obstacle, front_m, speed_mps, strip_right, strip_left)
+            if self._crossings and obstacle.label is ObstacleLabel.PERSON:
+                before_m = self._before_crossing_m(obstacle, front_m, speed_mps, strip_right, strip_left)
+                if before_m is not None and (stop_m is None or before_m < stop_m):
+                    stop_m = before_m
             if stop_m is not None:
                 reasons[obstacle.track] = (time_s + settings.hold_s, stop_m)
         if reasons:
@@ -283,6 +291,27 @@ class GiveWay:
         if is_past_before or comes_after:
             return None
         return enters_m - gap_m
+
+    def _before_crossing_m(
+        self, person: RoadObstacle, front_m: float, speed_mps: float, right_m: float, left_m: float
+    ) -> float | None:
+        """Return where to stop for a person who has priority on a crossing, if the ego still can."""
+        settings = self._settings
+        for crossing in self._crossings:
+            stop_m = crossing.from_m - settings.zebra_gap_m
+            if person.far_m < crossing.from_m or person.near_m > crossing.to_m or front_m > stop_m + 0.5:
+                continue
+            behind_m = crossing.right_kerb_m - settings.zebra_kerb_m
+            if not person.overlaps(behind_m, left_m + settings.zebra_left_m):
+                continue
+            moves_left = person.across_mps > settings.crossing_above_mps
+            moves_right = person.across_mps < -settings.crossing_above_mps
+            walks_away = (moves_left and person.right_m > left_m) or (moves_right and person.left_m < right_m)
+            if walks_away or abs(person.along_mps) > settings.zebra_along_mps:
+                continue
+            if speed_mps * speed_mps < 2.0 * (settings.decel_mps2 + 1.0) * max(stop_m - front_m, 0.1):
+                return stop_m
+        return None
 
     def _stands_close(self, obstacle: RoadObstacle, front_m: float, right_m: float, left_m: float) -> bool:
         settings = self._settings

@@ -97,7 +97,10 @@ class GroundPlaneLocaliser:
         noise = settings.pixel_noise_px / (camera.focal_px * camera.height_m)
         first_px, last_px = settings.border_px, camera.width_px - settings.border_px
         places = []
-        for box in boxes:
+        # The body's pitch moves rows; it is known from the acceleration but for its swinging.
+        shift_px = -camera.focal_px * settings.pitch_rad_per_mps2 * ego.accel_mps2
+        for seen in boxes:
+            box = seen._replace(y_min_px=seen.y_min_px + shift_px, y_max_px=seen.y_max_px + shift_px)
             near = self.depth_m(box)
             if near is None:
                 continue
@@ -459,13 +462,16 @@ def by_distance(obstacle: RoadObstacle) -> tuple[float, int]:
 class Predictor(Protocol):
     """Maps tracks to the route and predicts their motion."""
 
-    def predict(self, time_s: float, ego: EgoState, tracks: Sequence[Track]) -> list[RoadObstacle]:
+    def predict(
+        self, time_s: float, ego: EgoState, tracks: Sequence[Track], age_s: float = 0.0
+    ) -> list[RoadObstacle]:
         """Return one obstacle for each track, in the order of the tracks.
 
         Args:
             time_s: Current time.
             ego: State of the ego.
             tracks: Confirmed tracks.
+            age_s: How old the tracks are.
         """
         ...
 
@@ -479,18 +485,21 @@ class ConstantVelocityPredictor:
         self._route = route
         self._settings = settings
 
-    def predict(self, time_s: float, ego: EgoState, tracks: Sequence[Track]) -> list[RoadObstacle]:
+    def predict(
+        self, time_s: float, ego: EgoState, tracks: Sequence[Track], age_s: float = 0.0
+    ) -> list[RoadObstacle]:
         """Return one obstacle for each track, in the order of the tracks.
 
         Args:
             time_s: Current time.
             ego: State of the ego.
             tracks: Confirmed tracks; their station hints are updated.
+            age_s: How old the tracks are.
         """
         route, horizon_s = self._route, self._settings.horizon_s
         obstacles = []
         for track in tracks:
-            x_m, y_m = track.x_m, track.y_m
+            x_m, y_m = track.x_m + age_s * track.vx_mps, track.y_m + age_s * track.vy_mps
             hint_m = track.station_hint_m
             if hint_m is None:
                 dx, dy = x_m - ego.x_m, y_m - ego.y_m

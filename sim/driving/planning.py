@@ -108,7 +108,9 @@ class RoutePlanner:
         self._half_width_m = 0.5 * shape.width_m
         self._profile = SpeedProfile(route, settings.speed)
         self._lights = TrafficLightLaw(settings.light)
-        self._give_way = GiveWay(settings.give_way, length_m=shape.length_m, width_m=shape.width_m)
+        self._give_way = GiveWay(
+            settings.give_way, route.crossings, length_m=shape.length_m, width_m=shape.width_m
+        )
         self._nudging = Nudging(
             settings.nudge,
             lane_width_m=route.lane_width_m,

@@ -35,6 +35,7 @@ class LocalisationSettings:
         min_range_m: Minimum distance from the camera.
         pixel_noise_px: Assumed standard deviation of a bottom edge.
         border_px: A box this close to the left or right image border may extend beyond it.
+        pitch_rad_per_mps2: Assumed pitch of the camera, for each m/s^2 of the ego's acceleration.
     """
 
     vehicle_height_m: float = 1.5
@@ -47,6 +48,7 @@ class LocalisationSettings:
     min_range_m: float = 1.0
     pixel_noise_px: float = 1.0
     border_px: float = 2.0
+    pitch_rad_per_mps2: float = 0.0032
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,6 +170,10 @@ class YieldSettings:
         pass_slowly_within_m: A person this close beside the body is passed slowly...
         pass_person_mps: ...at this speed.
         range_m: Persons farther ahead are ignored.
+        zebra_kerb_m: On a crossing, persons have priority up to this far behind the kerb on the right...
+        zebra_left_m: ...and this far to the left of the path, unless they are walking away.
+        zebra_along_mps: Persons who walk along the road faster than this are passing the crossing by.
+        zebra_gap_m: Distance to stop before the crossing.
     """
 
     person_gap_m: float = 3.5
@@ -184,6 +190,10 @@ class YieldSettings:
     pass_slowly_within_m: float = 1.0
     pass_person_mps: float = 4.0
     range_m: float = 45.0
+    zebra_kerb_m: float = 0.9
+    zebra_left_m: float = 2.5
+    zebra_along_mps: float = 0.6
+    zebra_gap_m: float = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

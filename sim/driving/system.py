@@ -5,9 +5,20 @@
 The obstacle detector runs before it, outside: it is the component under test, and its boxes are the input.
 """
 
+from collections import deque
+from typing import Final
+
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.control import Controller, PursuitController
-from brink.sim.driving.interface import Command, Observation, PerceivedObstacle, PlanMode, PlanState, Route
+from brink.sim.driving.interface import (
+    Command,
+    EgoState,
+    Observation,
+    PerceivedObstacle,
+    PlanMode,
+    PlanState,
+    Route,
+)
 from brink.sim.driving.obstacles import (
     AlphaBetaTracker,
     ConstantVelocityPredictor,
@@ -19,6 +30,9 @@ from brink.sim.driving.obstacles import (
 )
 from brink.sim.driving.planning import Plan, Planner, RoutePlanner
 from brink.sim.driving.settings import DrivingSettings
+
+REMEMBERED_STEPS: Final = 22
+"""Steps for which the ego's own states are remembered; images that are older count as this old."""
 
 _DEFAULT_CAMERA = Camera()
 _DEFAULT_SETTINGS = DrivingSettings()
@@ -43,6 +57,7 @@ class ModularDriving:
         "_localiser",
         "_plan",
         "_planner",
+        "_poses",
         "_predictor",
         "_speed_mps",
         "_tracker",
@@ -67,19 +82,33 @@ class ModularDriving:
         self._planner = planner or RoutePlanner(route, settings.shape, settings.planning)
         self._controller = controller or PursuitController(route, settings.shape, settings.control)
         self._tracks: list[Track] = []
+        self._poses: deque[tuple[float, EgoState]] = deque(maxlen=REMEMBERED_STEPS)
         self._speed_mps = 0.0
         self._plan = Plan(PlanMode.CRUISE, 0.0, 0.0, 0.0, 0.0)
 
     def step(self, observation: Observation) -> Command:
         """Run one control step and return its command."""
-        time_s, ego, boxes, light = observation
+        time_s, ego, boxes, light, seen_s = observation
+        self._poses.append((time_s, ego))
         if boxes is not None:
-            self._tracks = self._tracker.update(time_s, self._localiser.locate(ego, boxes))
-            obstacles = self._predictor.predict(time_s, ego, self._tracks) if self._tracks else ()
+            if seen_s is None:
+                seen_s = time_s
+            # Boxes belong where the ego was when the image was taken; what they show has moved on since.
+            places = self._localiser.locate(self._pose_at(seen_s), boxes)
+            self._tracks = self._tracker.update(seen_s, places)
+            age_s = time_s - seen_s
+            obstacles = self._predictor.predict(time_s, ego, self._tracks, age_s) if self._tracks else ()
             self._planner.perceive(time_s, ego, obstacles)
         self._plan = plan = self._planner.plan(time_s, ego, light)
         self._speed_mps = ego.speed_mps
         return self._controller.control(ego, plan)
+
+    def _pose_at(self, time_s: float) -> EgoState:
+        """Return the ego's state in the latest step at or before a time, or the oldest that is remembered."""
+        for step_s, state in reversed(self._poses):
+            if step_s <= time_s + 1e-9:
+                return state
+        return self._poses[0][1]
 
     @property
     def plan(self) -> PlanState:

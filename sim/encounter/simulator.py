@@ -1,4 +1,4 @@
-"""The simulator `brink-encounter@1`: runs a specification and returns the result, bit for bit reproducible.
+"""The simulator `brink-encounter@2`: runs a specification and returns the result, bit for bit reproducible.
 
 Its driving system receives the ground truth; `brink.sim.encounter.camera` replaces it with a camera and a detector.
 With the option `reference`, an episode that violates a requirement is followed by drives of the reference drivers
@@ -28,14 +28,17 @@ from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.trace import AVOIDABLE, Trace
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
+from brink.sim.urban.options import CAMERA_OPTIONS, DriveOptions
 from brink.sim.urban.recorder import Recorder
-from brink.sim.urban.simulator import outcome_features
+from brink.sim.urban.simulator import car_of, outcome_features
+from brink.sim.world.ego import EGO_CAR, PROMPT_CAR
 
 MAX_DURATION_S: Final = 120.0
 AVOIDED_BY: Final = "avoided_by"
 """Fact about a violation that a reference driver avoids: how, as `Avoidance`."""
 MAX_GAP_M: Final = 200.0
 """Upper bound of reported gaps, so that they are finite when no road user is present."""
+_OPTIONS: Final = (REFERENCE, *CAMERA_OPTIONS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,10 +71,7 @@ class _Drive:
 class BrinkEncounter:
     """Runs encounters. Stateless between episodes; one instance per process is enough."""
 
-    id: ClassVar[str] = "brink-encounter@1"
-
-    def __init__(self) -> None:
-        self._camera = Camera()
+    id: ClassVar[str] = "brink-encounter@2"
 
     def _check(self, behaviour: Mapping[str, Json]) -> None:
         """Check that this simulator supports the behaviour.
@@ -90,24 +90,30 @@ class BrinkEncounter:
             )
 
     def _detects(
-        self, spec: EpisodeSpec, scenario: EncounterScenario, world: EncounterWorld
+        self, spec: EpisodeSpec, scenario: EncounterScenario, world: EncounterWorld, camera: Camera
     ) -> Detects | None:
         """Return the detector of an episode, or None if the driving system receives the ground truth."""
         return None
 
     def _boxes(
-        self, spec: EpisodeSpec, scenario: EncounterScenario, world: EncounterWorld, *, record: bool
+        self,
+        spec: EpisodeSpec,
+        scenario: EncounterScenario,
+        world: EncounterWorld,
+        camera: Camera,
+        *,
+        record: bool,
     ) -> Detects | None:
         """Return the detector of a drive. Reference drivers need none, and replays show the ground truth."""
         if spec.behaviour["mode"] != REFERENCE:
-            return self._detects(spec, scenario, world)
+            return self._detects(spec, scenario, world, camera)
         return None if record else _nothing
 
-    def _driving(self, spec: EpisodeSpec, world: EncounterWorld) -> DrivingSystem:
+    def _driving(self, spec: EpisodeSpec, world: EncounterWorld, camera: Camera) -> DrivingSystem:
         """Return the driving system of an episode, new."""
         if spec.behaviour["mode"] == REFERENCE:
             return ReferenceDriving(world, Driver(str(spec.behaviour["driver"])))
-        return ModularDriving(world.route, camera=self._camera)
+        return ModularDriving(world.route, camera=camera)
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
         """Run one episode.
@@ -121,7 +127,7 @@ class BrinkEncounter:
             SimulationCrashed: The physics engine failed.
         """
         spec.check_for(self.id, MAX_DURATION_S)
-        compares = _check_options(spec.options)
+        compares = _compares(spec.options)
         scenario = EncounterScenario.from_json(spec.scenario)
         self._check(spec.behaviour)
         make_requirements(spec.requirements)
@@ -144,24 +150,28 @@ class BrinkEncounter:
             record: Whether to record the trace.
         """
         cpu_s = time.process_time()
+        options = DriveOptions.from_json(spec.options, _OPTIONS)
         requirements = make_requirements(spec.requirements)
         engine = process_engine()
         engine.reset()
-        world = make_encounter(scenario, spec.seed)
-        recorder = Recorder(world, spec.requirements) if record else None
+        camera = Camera(least_visible=options.least_visible)
+        car = car_of(options, PROMPT_CAR if spec.behaviour["mode"] == REFERENCE else EGO_CAR)
+        world = make_encounter(scenario, spec.seed, car)
+        recorder = Recorder(world, spec.requirements, camera) if record else None
         witness = EncounterWitness(world, recorder)
         outcome = run_loop(
             world,
-            self._driving(spec, world),
+            self._driving(spec, world, camera),
             DetectorBehaviour(mode=BehaviourMode.ORACLE),
             requirements,
             engine=engine,
-            camera=self._camera,
+            camera=camera,
             seed=spec.seed,
             duration_s=spec.duration_s,
             recorder=recorder,
             witness=witness,
-            detects=self._boxes(spec, scenario, world, record=record),
+            detects=self._boxes(spec, scenario, world, camera, record=record),
+            latency_s=options.latency_s,
         )
         verdicts = verdicts_of(requirements)
         gaps = {
@@ -242,15 +252,12 @@ class BrinkEncounter:
         )
 
 
-def _check_options(options: Mapping[str, Json]) -> bool:
+def _compares(options: Mapping[str, Json]) -> bool:
     """Return whether violations are compared with reference drivers.
 
     Raises:
-        InvalidEpisode: There is another option.
+        InvalidEpisode: The option has a wrong value.
     """
-    unknown = [name for name in options if name != REFERENCE]
-    if unknown:
-        raise InvalidEpisode(f"options: expected {REFERENCE} or none, got {unknown[0]!r}")
     compares = options.get(REFERENCE, False)
     if not isinstance(compares, bool):
         raise InvalidEpisode(f"options.{REFERENCE}: expected true or false, got {compares!r:.80}")
@@ -270,7 +277,7 @@ def _with_driver(spec: EpisodeSpec, driver: Driver, duration_s: float) -> Episod
         simulator=BrinkEncounter.id,
         behaviour={"mode": REFERENCE, "driver": driver.value},
         duration_s=min(spec.duration_s, duration_s),
-        options={},
+        options={name: value for name, value in spec.options.items() if name != REFERENCE},
     )
 
 

@@ -7,11 +7,11 @@ through its script more slowly until there is room again: its actions stay the s
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 from brink.sim.driving.interface import CONTROL_STEP_S
 from brink.sim.encounter.specification import EncounterScenario, Kind, Script, Stretch
-from brink.sim.world.ego import EgoCar, EgoMotion
+from brink.sim.world.ego import EGO_CAR, CarModel, EgoCar, EgoMotion
 from brink.sim.world.line import ReferenceLine
 from brink.sim.world.pedestrians import PERSON_LENGTH_M, PERSON_WIDTH_M
 from brink.sim.world.road import LaneRoute, Road, SignalPlan, build_road, ego_route
@@ -43,11 +43,13 @@ class ScriptedUser:
         line: Centre line of the ego's first lane, along which stations run.
     """
 
+    is_vehicle: ClassVar = True
     __slots__ = (
         "_line",
         "_pace",
         "_script",
         "_script_s",
+        "accel_mps2",
         "kind",
         "length_m",
         "name",
@@ -69,6 +71,7 @@ class ScriptedUser:
         self._line = line
         self._script_s = 0.0
         self._pace = 1.0
+        self.accel_mps2 = 0.0
         self._place()
 
     @property
@@ -93,7 +96,9 @@ class ScriptedUser:
         if self.kind is not Kind.PEDESTRIAN:
             self._adapt_pace(step, dt_s, others)
         self._script_s += self._pace * dt_s
+        before_mps = self.speed_mps
         self._place()
+        self.accel_mps2 = (self.speed_mps - before_mps) / dt_s
 
     def _adapt_pace(self, step: int, dt_s: float, others: Sequence[RoadUser]) -> None:
         scripted_mps = self.stretch.at(self._script_s)[3]
@@ -166,12 +171,13 @@ class EncounterWorld:
         return self.road.style.grade if station_m < self.leaves_road_m else 0.0
 
 
-def make_encounter(scenario: EncounterScenario, seed: int) -> EncounterWorld:
+def make_encounter(scenario: EncounterScenario, seed: int, car: CarModel = EGO_CAR) -> EncounterWorld:
     """Return the world of an encounter at time 0.
 
     Args:
         scenario: The scenario.
         seed: The episode's seed, for the ego's initial offset and the traffic lights.
+        car: The ego's car.
     """
     place = scenario.place
     road = build_road(place.road_curve, place.road_id, place.road_length)
@@ -188,7 +194,10 @@ def make_encounter(scenario: EncounterScenario, seed: int) -> EncounterWorld:
         weather=weather,
         signals=signal_plan(place, seed) if road.junctions[0].lit else None,
         ego=EgoCar(
-            route.pose_at(0.0, float(start.normal(0.0, 0.05))), START_SPEED_MPS, friction=weather.friction
+            route.pose_at(0.0, float(start.normal(0.0, 0.05))),
+            START_SPEED_MPS,
+            friction=weather.friction,
+            model=car,
         ),
         vehicles=tuple(user for user in road_users if user.kind is not Kind.PEDESTRIAN),
         walkers=tuple(user for user in road_users if user.kind is Kind.PEDESTRIAN),

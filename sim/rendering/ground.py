@@ -31,7 +31,7 @@ from brink.sim.rendering.scene import (
     footprint,
 )
 from brink.sim.rendering.textures import TILE_M, TILE_PX_PER_M, ground_tiles
-from brink.sim.rendering.view import NEAR_M, SHIFT, View, clip_near, to_fixed_point
+from brink.sim.rendering.view import NEAR_M, PITCHES_KEPT, SHIFT, View, clip_near, to_fixed_point
 
 _NEAR_M: Final = 0.4
 _FAR_M: Final = 220.0
@@ -287,12 +287,11 @@ class GroundPainter:
         cv2.add(region, cv2.multiply(mirror, weights, scale=1 / 255), dst=region)
 
     def _rows_of(self, view: View) -> _Rows:
-        pitch = math.atan2(view.sin_pitch, view.cos_pitch)
-        rows = self._rows.get(pitch)
+        rows = self._rows.get(view.pitch_rad)
         if rows is None:
-            if len(self._rows) > 8:
-                self._rows.clear()
-            rows = self._rows[pitch] = self._make_rows(view)
+            if len(self._rows) == PITCHES_KEPT:
+                del self._rows[next(iter(self._rows))]
+            rows = self._rows[view.pitch_rad] = self._make_rows(view)
         return rows
 
     def _make_rows(self, view: View) -> _Rows:

@@ -1,16 +1,29 @@
-"""Street lamps, vehicle lights, and the halos around them."""
+"""Street lamps, vehicle lights, and the halos around them and around traffic lights."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import cv2
 import numpy as np
 
+from brink.sim.driving.interface import LightState
 from brink.sim.rendering.canvas import Canvas
 from brink.sim.rendering.light import Lighting
 from brink.sim.rendering.order import Thing
-from brink.sim.rendering.scene import Body, BodyKind, FloatArray, Lamp, Mark, Picture, Rgb, Stroke
+from brink.sim.rendering.scene import (
+    Body,
+    BodyKind,
+    FloatArray,
+    Lamp,
+    Mark,
+    Picture,
+    Rgb,
+    SignalGroup,
+    Stroke,
+    TrafficLight,
+)
+from brink.sim.rendering.signals import lit_lamp
 from brink.sim.rendering.solids import draw_limbs
 from brink.sim.rendering.view import NEAR_M, View, to_fixed_point
 
@@ -20,6 +33,9 @@ _LAMP_LIGHT: Final = (230.0, 190.0, 120.0)
 _HEADLIGHT: Final = (220.0, 214.0, 196.0)
 _TAIL_LIGHT: Final = (120.0, 12.0, 10.0)
 _BRAKE_LIGHT: Final = (200.0, 30.0, 20.0)
+_HEADLIGHT_M, _TAIL_LIGHT_M, _BRAKE_LIGHT_M, _LAMP_LIGHT_M, _TRAFFIC_LIGHT_M = 0.75, 0.4, 0.6, 1.5, 0.5
+"""Reach of the halos."""
+_TRAFFIC_LIGHT_STRENGTH: Final = 0.7
 
 
 def lamp_head_position(lamp: Lamp) -> tuple[float, float]:
@@ -98,21 +114,41 @@ class Halos:
         fall = np.clip(1 - np.hypot(line[:, None], line[None, :]), 0, 1) ** 2.4
         self._disc: Picture = np.clip(255 * fall, 0, 255).astype(np.uint8)
 
-    def add(self, canvas: Canvas, things: Sequence[Thing], parked: frozenset[int], view: View) -> None:
-        """Add the halos of painted objects; a light is visible if its pixel belongs to its own body.
+    def add(
+        self,
+        canvas: Canvas,
+        things: Sequence[Thing],
+        parked: frozenset[int],
+        signals: Mapping[SignalGroup, LightState],
+        view: View,
+    ) -> None:
+        """Add the halos of painted objects; a light is visible if its pixel belongs to its own object.
 
         Args:
-            canvas: The finished image and mask.
+            canvas: The finished image and mask; an object without an id has minus its number, from 1, in the mask.
             things: Painted objects.
             parked: Ids of parked vehicles, which have their lights off.
+            signals: What the traffic lights show.
             view: The camera.
         """
-        for thing in things:
+        for number, thing in enumerate(things, 1):
             if isinstance(thing, Lamp) and self._lamps_burn:
                 x_m, y_m = lamp_head_position(thing)
-                self._add(canvas, (x_m, y_m, thing.height_m), 1.5, _LAMP_LIGHT, 0, view)
+                self._add(canvas, (x_m, y_m, thing.height_m), _LAMP_LIGHT_M, _LAMP_LIGHT, -number, view)
+            elif isinstance(thing, TrafficLight) and thing.group in signals:
+                self._add_traffic_light(canvas, thing, signals[thing.group], -number, view)
             elif isinstance(thing, Body) and thing.kind is BodyKind.VEHICLE and thing.id not in parked:
                 self._add_vehicle(canvas, thing, view)
+
+    def _add_traffic_light(
+        self, canvas: Canvas, light: TrafficLight, state: LightState, number: int, view: View
+    ) -> None:
+        (x_m, y_m, z_m), (red, green, blue) = lit_lamp(light, state)
+        ahead_m = (view.x_m - x_m) * math.cos(light.yaw_rad) + (view.y_m - y_m) * math.sin(light.yaw_rad)
+        if ahead_m > 0.0:
+            share = _TRAFFIC_LIGHT_STRENGTH * self._strength
+            rgb = (share * red, share * green, share * blue)
+            self._add(canvas, (x_m, y_m, z_m), _TRAFFIC_LIGHT_M, rgb, number, view)
 
     def _add_vehicle(self, canvas: Canvas, body: Body, view: View) -> None:
         ahead_m = (view.x_m - body.x_m) * math.cos(body.yaw_rad) + (view.y_m - body.y_m) * math.sin(
@@ -121,9 +157,14 @@ class Halos:
         for place, end in vehicle_light_positions(body):
             if ahead_m * end <= body.length_m / 2:
                 continue
-            rgb = _HEADLIGHT if end > 0 else (_BRAKE_LIGHT if body.braking else _TAIL_LIGHT)
+            if end > 0:
+                rgb, size_m = _HEADLIGHT, _HEADLIGHT_M
+            elif body.braking:
+                rgb, size_m = _BRAKE_LIGHT, _BRAKE_LIGHT_M
+            else:
+                rgb, size_m = _TAIL_LIGHT, _TAIL_LIGHT_M
             red, green, blue = (self._strength * part for part in rgb)
-            self._add(canvas, place, 0.75 if end > 0 else 0.4, (red, green, blue), body.id, view)
+            self._add(canvas, place, size_m, (red, green, blue), body.id, view)
 
     def _add(
         self,
@@ -140,7 +181,12 @@ class Halos:
         scale = view.focal_px / depth
         x = round(view.width_px / 2 - 0.5 - left_m * scale)
         y = round(view.height_px / 2 - 0.5 - up_m * scale)
-        if not (0 <= x < view.width_px and 0 <= y < view.height_px) or canvas.ids[y, x] != number:
+        if not (0 <= x < view.width_px and 0 <= y < view.height_px):
+            return
+        # The head of a lamp may be thinner than a pixel.
+        around = 1 if number < 0 else 0
+        seen = canvas.ids[max(y - around, 0) : y + around + 1, max(x - around, 0) : x + around + 1]
+        if not (seen == number).any():
             return
         half = round(min(max(size_m * scale, 0.008 * view.width_px), 0.2 * view.width_px))
         left, top = max(x - half, 0), max(y - half, 0)

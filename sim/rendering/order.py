@@ -23,6 +23,7 @@ from brink.sim.rendering.scene import (
     Furniture,
     Lamp,
     StreetScene,
+    TrafficLight,
     Tree,
     footprint,
 )
@@ -33,6 +34,7 @@ _HOUSE_FAR_M: Final = 260.0
 _FURNITURE_FAR_M: Final = 50.0
 _TRUNK_WIDTH: Final = 0.07
 _LAMP_WIDTH_M: Final = 0.2
+_TRAFFIC_LIGHT_WIDTH_M: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,7 +55,7 @@ class Crown:
 Separated: TypeAlias = NDArray[np.bool_]
 """For each edge of each object, whether another object lies outside it, shape ``(n, 4, m)``."""
 
-Thing: TypeAlias = Body | House | Tree | Crown | Lamp | Furniture
+Thing: TypeAlias = Body | House | Tree | Crown | Lamp | TrafficLight | Furniture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -115,6 +117,9 @@ def make_static_items(scene: StreetScene) -> Items:
     for lamp in scene.lamps:
         post = footprint(lamp.x_m, lamp.y_m, 0.0, _LAMP_WIDTH_M, _LAMP_WIDTH_M)
         rows.append((lamp, post, 0.0, lamp.height_m, _BODY_FAR_M))
+    for light in scene.traffic_lights:
+        post = footprint(light.x_m, light.y_m, light.yaw_rad, _TRAFFIC_LIGHT_WIDTH_M, _TRAFFIC_LIGHT_WIDTH_M)
+        rows.append((light, post, 0.0, light.height_m, _BODY_FAR_M))
     for item in scene.furniture:
         corners = footprint(item.x_m, item.y_m, item.yaw_rad, item.length_m, item.width_m)
         rows.append((item, corners, 0.0, item.height_m, _FURNITURE_FAR_M))

@@ -5,12 +5,13 @@ they change the image but never the mask.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final, TypeAlias
 
 import numpy as np
 
+from brink.sim.driving.interface import LightState
 from brink.sim.rendering.buildings import BuildingPainter, PlacedWalls
 from brink.sim.rendering.canvas import Canvas
 from brink.sim.rendering.furniture import make_furniture_mesh
@@ -52,12 +53,15 @@ from brink.sim.rendering.scene import (
     Outline,
     PictureCamera,
     Rgb,
+    SignalGroup,
     StreetScene,
+    TrafficLight,
     Tree,
     Viewpoint,
     check_unique_ids,
 )
 from brink.sim.rendering.sensor import Sensor
+from brink.sim.rendering.signals import make_traffic_light_mesh
 from brink.sim.rendering.sky import Rain, Sky
 from brink.sim.rendering.solids import PlacedMesh, draw_meshes
 from brink.sim.rendering.trees import TreePainter
@@ -104,13 +108,20 @@ class Renderer:
             (pool for lamp in self._lamps for pool in lamp_light_pools(lamp)), key=lambda pool: pool[1]
         )
 
-    def frame(self, viewpoint: Viewpoint, bodies: Sequence[Body], time_s: float) -> Frame:
+    def frame(
+        self,
+        viewpoint: Viewpoint,
+        bodies: Sequence[Body],
+        time_s: float,
+        signals: Mapping[SignalGroup, LightState] | None = None,
+    ) -> Frame:
         """Render one frame.
 
         Args:
             viewpoint: Pose of the ego.
             bodies: All moving bodies except the ego, in any order.
             time_s: Time in the episode, which moves the rain and the grain.
+            signals: What the traffic lights show; those that are left out are off.
 
         Raises:
             InvalidScene: An id occurs twice, parked vehicles included.
@@ -124,17 +135,24 @@ class Renderer:
         canvas = Canvas(image=np.empty((*shape, 3), np.uint8), ids=np.zeros(shape, np.int32))
         self._sky.paint(canvas.image, view)
         self._ground.paint(canvas.image, view, self._cover(moving, seen, walls, view))
-        outlines = self._paint(canvas, seen, walls, view)
+        signals = signals or {}
+        outlines = self._paint(canvas, seen, walls, signals, view)
         if self._lighting.lights_on:
-            self._halos.add(canvas, seen.things, self._parked, view)
+            self._halos.add(canvas, seen.things, self._parked, signals, view)
+        np.maximum(canvas.ids, 0, out=canvas.ids)
         self._rain.apply(canvas.image, time_s)
         self._sensor.apply(canvas.image, time_s)
         return Frame(image=canvas.image, ids=canvas.ids, outlines=outlines)
 
     def _paint(
-        self, canvas: Canvas, seen: VisibleItems, walls: PlacedWalls, view: View
+        self,
+        canvas: Canvas,
+        seen: VisibleItems,
+        walls: PlacedWalls,
+        signals: Mapping[SignalGroup, LightState],
+        view: View,
     ) -> dict[int, Outline]:
-        marks = self._marks(seen, view)
+        marks = self._marks(seen, signals, view)
         outlines: dict[int, Outline] = {}
         for index, thing in enumerate(seen.things):
             if isinstance(thing, House):
@@ -144,10 +162,10 @@ class Renderer:
                 depth = max(float(seen.depths[index]), 0.0)
                 outlines[thing.id] = Outline(kind=thing.kind, depth_m=depth, marks=tuple(marks[index]))
             else:
-                canvas.paint(marks[index], 0)
+                canvas.paint(marks[index], -1 - index)
         return outlines
 
-    def _marks(self, seen: VisibleItems, view: View) -> _Marks:
+    def _marks(self, seen: VisibleItems, signals: Mapping[SignalGroup, LightState], view: View) -> _Marks:
         """Return the marks of all items except buildings, in item order; each kind is drawn in one batch."""
         lit = self._lit(seen, view)
         marks: _Marks = [[] for _ in seen.things]
@@ -162,6 +180,8 @@ class Renderer:
                 marks[index] = self._trees.crown(thing.tree, view, float(lit[index]))
             elif isinstance(thing, Lamp):
                 lamps.append((index, thing))
+            elif isinstance(thing, TrafficLight):
+                solids.append((index, _placed_light(thing, signals.get(thing.group))))
             elif isinstance(thing, Furniture):
                 solids.append((index, _placed_furniture(thing)))
             elif isinstance(thing, Body):
@@ -258,6 +278,11 @@ class Renderer:
 def _placed_furniture(item: Furniture) -> PlacedMesh:
     mesh = make_furniture_mesh(replace(item, x_m=0.0, y_m=0.0, yaw_rad=0.0))
     return PlacedMesh(mesh, item.x_m, item.y_m, item.yaw_rad, item.height_m, braking=False, parked=True)
+
+
+def _placed_light(light: TrafficLight, state: LightState | None) -> PlacedMesh:
+    mesh = make_traffic_light_mesh(light.height_m, state)
+    return PlacedMesh(mesh, light.x_m, light.y_m, light.yaw_rad, light.height_m, braking=False, parked=True)
 
 
 def _rows(items: Items) -> list[tuple[Thing, FloatArray, float, float]]:

@@ -1,4 +1,4 @@
-"""The types of a scene: surfaces, buildings, trees, bodies, light, camera and rendered frame; and their errors.
+"""The types of a scene: surfaces, buildings, trees, bodies, lights, camera and rendered frame; and their errors.
 
 Lengths are in m, angles in radians counter-clockwise, z points up, and the ground is the plane z = 0. `look` is an
 arbitrary integer that selects colours and shape; the same value always gives the same appearance.
@@ -125,6 +125,36 @@ class Lamp:
         _check_positive("lamp", height_m=self.height_m)
 
 
+class SignalGroup(StrEnum):
+    """The traffic lights of a junction that always show the same."""
+
+    MAIN = "main"
+    SIDE = "side"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrafficLight:
+    """A traffic light on a post: red, amber and green from top to bottom.
+
+    Attributes:
+        group: Decides what it shows.
+        x_m: Foot of the post.
+        y_m: Foot of the post.
+        yaw_rad: Direction that it faces, against the traffic that it is for.
+        height_m: Height of its upper end.
+    """
+
+    group: SignalGroup
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    height_m: float = 3.4
+
+    def __post_init__(self) -> None:
+        _check_finite("traffic light", x_m=self.x_m, y_m=self.y_m, yaw_rad=self.yaw_rad)
+        _check_positive("traffic light", height_m=self.height_m)
+
+
 class FurnitureKind(StrEnum):
     """The kind of an item of street furniture."""
 
@@ -205,6 +235,7 @@ class StreetScene:
     trees: tuple[Tree, ...] = ()
     parked: tuple[Body, ...] = ()
     lamps: tuple[Lamp, ...] = ()
+    traffic_lights: tuple[TrafficLight, ...] = ()
     furniture: tuple[Furniture, ...] = ()
 
     def __post_init__(self) -> None:

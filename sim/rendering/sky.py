@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from brink.sim.rendering.light import Lighting
 from brink.sim.rendering.scene import Picture, PictureCamera
 from brink.sim.rendering.textures import Noise, smooth_noise
-from brink.sim.rendering.view import View
+from brink.sim.rendering.view import PITCHES_KEPT, View
 
 _WIDTH_PX: Final = 2048
 _LOW: Final = math.radians(-3.0)
@@ -45,12 +45,11 @@ class Sky:
 
     def paint(self, image: Picture, view: View) -> None:
         """Paint the sky from the top row to the horizon."""
-        pitch = math.atan2(view.sin_pitch, view.cos_pitch)
-        rays = self._rays.get(pitch)
+        rays = self._rays.get(view.pitch_rad)
         if rays is None:
-            if len(self._rays) > 8:
-                self._rays.clear()
-            rays = self._rays[pitch] = self._rays_at(view, pitch)
+            if len(self._rays) == PITCHES_KEPT:
+                del self._rays[next(iter(self._rays))]
+            rays = self._rays[view.pitch_rad] = self._rays_at(view)
         if rays.lines_px == 0:
             return
         turn = (-view.yaw_rad / (2 * math.pi) * _WIDTH_PX) % _WIDTH_PX
@@ -61,7 +60,7 @@ class Sky:
         target = image[: rays.lines_px]
         cv2.resize(small, (image.shape[1], rays.lines_px), dst=target, interpolation=cv2.INTER_LINEAR)
 
-    def _rays_at(self, view: View, pitch: float) -> _Rays:
+    def _rays_at(self, view: View) -> _Rays:
         lines = min(max(math.ceil(view.horizon_px) + 1, 0), view.height_px)
         wide, high = math.ceil(view.width_px / 2), max(math.ceil(lines / 2), 1)
         x = (np.arange(wide) + 0.5) * view.width_px / wide - view.width_px / 2

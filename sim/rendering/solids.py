@@ -35,6 +35,8 @@ class Finish(IntEnum):
     """Dark rubber and openings, hardly shaded."""
     BRAKE = 5
     """Third brake light; dark glass unless braking."""
+    LIT = 6
+    """A lamp that is on; its colour does not depend on the light."""
 
 
 class Group(IntEnum):
@@ -288,6 +290,8 @@ class _Surface:
             tail &= driven
             rgb[(self.finish == Finish.LAMP) & driven] = (255, 250, 232)
             rgb[tail] = np.maximum(rgb[tail], (176, 22, 20))
+        lit = self.finish == Finish.LIT
+        rgb[lit] = self.rgb[lit]
         rgb[tail & braking] = (255, 56, 44)
         rgb[third & braking] = (255, 48, 40)
 

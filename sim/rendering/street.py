@@ -1,4 +1,4 @@
-"""Converts a road of the simulator to a scene that can be rendered, or to the plain one of `brink-drive-camera@2`."""
+"""Converts a road of the simulator to a scene that can be rendered."""
 
 import math
 from typing import Final
@@ -13,15 +13,17 @@ from brink.sim.rendering.scene import (
     Ground,
     Lamp,
     Material,
+    SignalGroup,
     StreetScene,
+    TrafficLight,
     Tree,
     choose,
     choose_fraction,
 )
 from brink.sim.trace import Surface
 from brink.sim.world.line import Piece, ReferenceLine
-from brink.sim.world.road import Road
-from brink.sim.world.scenery import BEFORE_M, BEYOND_M, Fixture, fixtures, scene_surfaces
+from brink.sim.world.road import Fixture, Junction, Road
+from brink.sim.world.scenery import BEFORE_M, BEYOND_M, fixtures, scene_surfaces
 
 FIRST_PARKED_ID: Final = 1_000_001
 """Id of the first parked vehicle; the others follow in the order of the road's fixtures."""
@@ -35,9 +37,8 @@ _MATERIALS: Final = {
 _KERB_M: Final = 0.18
 _GUTTER_M: Final = 0.12
 _LAMP_EVERY_M: Final = 24.0
+_POST_FROM_KERB_M: Final = 0.5
 _CROWN_M: Final = 3.2
-_PLAIN_CROWN_M: Final = 3.0
-_GRASS_BEYOND_M: Final = 80.0
 _STEP_M: Final = 2.0
 _CAR_LOOKS: Final = 64
 _HOUSE_LOOKS: Final = 24
@@ -45,7 +46,7 @@ _HOUSE_LOOKS: Final = 24
 
 
 def street_from_road(road: Road, *, seed: int = 0) -> StreetScene:
-    """Convert a road to a scene with its surfaces, kerbs, buildings, trees, parked vehicles and lamps.
+    """Convert a road to a scene with its surfaces, kerbs, buildings, trees, parked vehicles and lights.
 
     Args:
         road: The road.
@@ -69,33 +70,8 @@ def street_from_road(road: Road, *, seed: int = 0) -> StreetScene:
             for index, (one, look) in enumerate(parked)
         ),
         lamps=tuple(_lamps(road)),
+        traffic_lights=tuple(_traffic_lights(road)),
     )
-
-
-def plain_street(road: Road) -> StreetScene:
-    """Convert a road to the scene of `brink-drive-camera@2`: no kerbs, no lamps, and all parked cars face one way.
-
-    The images of that version must not change. The next one renders `street_from_road`.
-    """
-    still = list(enumerate(fixtures(road)))
-    return StreetScene(
-        ground=(_grass(road), *_road_surfaces(road)),
-        buildings=tuple(_building(one, index) for index, one in still if one.kind == "building"),
-        trees=tuple(
-            _tree(one, index, one.height_m, _PLAIN_CROWN_M) for index, one in still if one.kind == "tree"
-        ),
-        parked=tuple(
-            _parked(one, index + 1, index, one.yaw_rad) for index, one in still if one.kind == "parked-car"
-        ),
-    )
-
-
-def _grass(road: Road) -> Ground:
-    stations = np.linspace(-_GRASS_BEYOND_M, road.length_m + _GRASS_BEYOND_M, 24)
-    points = np.array([road.centre.pose_at(float(station))[:2] for station in stations])
-    low, high = points.min(axis=0) - _GRASS_BEYOND_M, points.max(axis=0) + _GRASS_BEYOND_M
-    corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
-    return Ground(material=Material.GRASS, points=corners)
 
 
 def _road_surfaces(road: Road) -> list[Ground]:
@@ -193,3 +169,28 @@ def _lamps(road: Road) -> list[Lamp]:
         x_m, y_m, yaw_rad = road.centre.pose_at(station_m, side * (road.kerb_m + 0.4))
         found.append(Lamp(x_m=x_m, y_m=y_m, yaw_rad=yaw_rad - side * math.pi / 2))
     return found
+
+
+def _traffic_lights(road: Road) -> list[TrafficLight]:
+    """Return the traffic lights: at each stop line, to the right of the traffic that stops there."""
+    return [light for junction in road.junctions if junction.lit for light in _lights_of(road, junction)]
+
+
+def _lights_of(road: Road, junction: Junction) -> list[TrafficLight]:
+    lights = []
+    arms = (
+        (math.pi, True, SignalGroup.MAIN),
+        (0.0, True, SignalGroup.MAIN),
+        (-math.pi / 2, junction.right, SignalGroup.SIDE),
+        (math.pi / 2, junction.left, SignalGroup.SIDE),
+    )
+    out_m, aside_m = road.stop_line_before_junction_m, road.kerb_m + _POST_FROM_KERB_M
+    for turn_rad, exists, group in arms:
+        if exists:
+            yaw_rad = junction.yaw_rad + turn_rad
+            cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
+            # Who comes in has the direction out of the junction behind, and its left on the right.
+            x_m = junction.x_m + out_m * cosine - aside_m * sine
+            y_m = junction.y_m + out_m * sine + aside_m * cosine
+            lights.append(TrafficLight(group=group, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad))
+    return lights

@@ -15,6 +15,8 @@ NEAR_M = 0.12
 SHIFT = 4
 _SUBPIXELS = float(1 << SHIFT)
 _REACH_PX = 60000.0
+PITCHES_KEPT = 24
+"""Pitches whose tables a renderer keeps; each is worked out from the pitch alone, and the oldest is dropped first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +34,11 @@ class View:
     sin_yaw: float
     cos_pitch: float
     sin_pitch: float
+
+    @property
+    def pitch_rad(self) -> float:
+        """Pitch of the camera, positive if it looks up."""
+        return math.atan2(self.sin_pitch, self.cos_pitch)
 
     @property
     def horizon_px(self) -> float:

@@ -1,25 +1,25 @@
 """The camera on urban roads: renders what the ego sees and returns a detector's boxes.
 
-`brink-drive-camera@2` runs urban episodes with the detector in the loop. Its results say how wrong the detector was,
+`brink-drive-camera@3` runs urban episodes with the detector in the loop. Its results say how wrong the detector was,
 in the terms of `detection_errors`, so that it can be checked against a requirement.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final
 
 import cv2
-import numpy as np
 
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.episode import EpisodeSpec, Json, check_fields
 from brink.sim.errors import InvalidEpisode
+from brink.sim.perception.boxes import BoolArray, Detections
 from brink.sim.perception.detector import LABELS, Detector, find_detector
 from brink.sim.perception.user_files import DEFAULT_DETECTOR, weights_digest
 from brink.sim.rendering.renderer import Renderer
-from brink.sim.rendering.scene import Body, BodyKind, Light, PictureCamera, Viewpoint
-from brink.sim.rendering.street import plain_street
+from brink.sim.rendering.scene import Body, BodyKind, Frame, Light, PictureCamera, SignalGroup, Viewpoint
+from brink.sim.rendering.street import street_from_road
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from brink.sim.urban.episode_loop import Detects, Outcome
 from brink.sim.urban.erroneous_detector import Observer
@@ -27,14 +27,14 @@ from brink.sim.urban.error_meter import MEASURES, ErrorMeter, ReportedBox, measu
 from brink.sim.urban.simulator import BrinkDrive, UrbanDetector
 from brink.sim.world.ego import EgoMotion
 from brink.sim.world.pedestrians import PERSON_HEIGHT_M
-from brink.sim.world.road import Road
 from brink.sim.world.scenario import TimeOfDay, Weather
-from brink.sim.world.scenery import fixtures
+from brink.sim.world.vehicle import brake_lights_on
 from brink.sim.world.world import World
 
 MODE: Final = "detector"
-SIMULATOR_ID: Final = "brink-drive-camera@2"
+SIMULATOR_ID: Final = "brink-drive-camera@3"
 SIZE_PX: Final = (640, 360)
+PITCH_STEP_RAD: Final = 5e-4
 STEPS_PER_S: Final = 1.9
 """Step rate of a walking person, for the pose of the legs."""
 
@@ -45,22 +45,23 @@ _LABELS: Final = {"vehicle": ObstacleLabel.VEHICLE, "person": ObstacleLabel.PERS
 class RoadCamera:
     """Renders what the ego's camera sees and returns a detector's boxes.
 
+    The camera pitches with the ego's body, and stays at the same height above level ground. It does not see grades:
+    a slope changes how the ego drives, and no image.
+
     Args:
-        road: The road.
+        world: The world.
         light: Time of day and weather.
         seed: Selects the appearances.
         detector: The detector.
         threshold: Minimum score of a box.
         camera: The driving system's camera, which defines the image of the returned boxes.
-
-    Attributes:
-        first_id: Smallest id of a body that is free for road users.
     """
 
     def __init__(
-        self, road: Road, light: Light, *, seed: int, detector: Detector, threshold: float, camera: Camera
+        self, world: World, light: Light, *, seed: int, detector: Detector, threshold: float, camera: Camera
     ) -> None:
         cv2.setNumThreads(1)
+        self._world = world
         self._detector = detector
         self._threshold = threshold
         self._camera = camera
@@ -71,32 +72,58 @@ class RoadCamera:
             height_m=camera.height_m,
             forward_m=camera.forward_m,
         )
-        self.first_id = 1 + len(fixtures(road))
-        self._renderer = Renderer(plain_street(road), light, self._picture, seed)
+        self._renderer = Renderer(street_from_road(world.road, seed=seed), light, self._picture, seed)
 
-    def boxes(self, ego: EgoMotion, bodies: Sequence[Body], time_s: float) -> tuple[Box, ...]:
+    def boxes(self, time_s: float) -> tuple[Box, ...]:
         """Return the current detections, in pixels of the driving system's image."""
-        view = Viewpoint(x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad)
-        found = self._detector.detect(self._renderer.frame(view, bodies, time_s).image)
-        sure = np.flatnonzero(found.scores >= self._threshold).tolist()
-        return tuple(self._to_driving_image(LABELS[found.labels[i]], *found.boxes[i].tolist()) for i in sure)
+        found = self._detector.detect(self.frame(time_s).image)
+        return driving_boxes(found, found.scores >= self._threshold, self._picture, self._camera)
 
-    def _to_driving_image(self, label: str, x_min: float, y_min: float, x_max: float, y_max: float) -> Box:
-        """Convert a box to the driving system's image: the same rays, different pixels."""
-        scale = self._camera.focal_px / self._picture.focal_px
-        middle_x, middle_y = 0.5 * SIZE_PX[0], 0.5 * SIZE_PX[1]
-        return Box(
-            label=_LABELS[label],
-            x_min_px=self._camera.centre_x_px + (x_min - middle_x) * scale,
-            x_max_px=self._camera.centre_x_px + (x_max - middle_x) * scale,
-            y_min_px=self._camera.horizon_px + (y_min - middle_y) * scale,
-            y_max_px=self._camera.horizon_px + (y_max - middle_y) * scale,
+    def frame(self, time_s: float) -> Frame:
+        """Return the current image; the ids of road users are their numbers from 1, vehicles first."""
+        ego, signals = self._world.ego, self._world.signals
+        shown = (
+            {}
+            if signals is None
+            else {SignalGroup.MAIN: signals.main_at(time_s), SignalGroup.SIDE: signals.side_at(time_s)}
         )
+        return self._renderer.frame(viewpoint_of(ego), _bodies(self._world, time_s), time_s, shown)
 
 
-def gait(speed_mps: float, time_s: float) -> float:
-    """Return the pose of the legs of a person, as an angle in [0, 2 pi); 0 while the person stands."""
-    return (2.0 * math.pi * STEPS_PER_S * time_s if speed_mps > 0.1 else 0.0) % (2.0 * math.pi)
+def viewpoint_of(ego: EgoMotion) -> Viewpoint:
+    """Return the pose of the ego's camera.
+
+    The pitch is rounded to 0.03 degrees, a sixth of a pixel, so that frames share the renderer's tables.
+    """
+    pitch_rad = PITCH_STEP_RAD * round(ego.pitch_rad / PITCH_STEP_RAD)
+    return Viewpoint(x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad, pitch_rad=pitch_rad)
+
+
+def driving_boxes(
+    found: Detections, reported: BoolArray, picture: PictureCamera, camera: Camera
+) -> tuple[Box, ...]:
+    """Return detections in the driving system's image: the same rays, different pixels.
+
+    Args:
+        found: All detections in a picture.
+        reported: Which of them to return, shape ``(n,)``.
+        picture: The camera of the picture.
+        camera: The driving system's camera.
+    """
+    scale = camera.focal_px / picture.focal_px
+    middle_x, middle_y = 0.5 * picture.width_px, 0.5 * picture.height_px
+    return tuple(
+        Box(
+            label=_LABELS[LABELS[label]],
+            x_min_px=camera.centre_x_px + (x_min - middle_x) * scale,
+            x_max_px=camera.centre_x_px + (x_max - middle_x) * scale,
+            y_min_px=camera.horizon_px + (y_min - middle_y) * scale,
+            y_max_px=camera.horizon_px + (y_max - middle_y) * scale,
+        )
+        for label, (x_min, y_min, x_max, y_max) in zip(
+            found.labels[reported].tolist(), found.boxes[reported].tolist(), strict=True
+        )
+    )
 
 
 def check_detector(behaviour: Mapping[str, Json]) -> None:
@@ -153,7 +180,7 @@ class InTheLoop:
             weather=Weather(str(spec.scenario["weather"])),
         )
         eyes = RoadCamera(
-            world.road,
+            world,
             light,
             seed=spec.seed,
             detector=find_detector(str(spec.behaviour["detector"])),
@@ -164,8 +191,9 @@ class InTheLoop:
         meter = self.meter = ErrorMeter(camera)
 
         def detects(time_s: float) -> tuple[Box, ...]:
-            found = eyes.boxes(world.ego, _bodies(world, eyes.first_id, time_s), time_s)
-            meter.see(time_s, observer.look(time_s).true_boxes(), [ReportedBox(box) for box in found])
+            found = eyes.boxes(time_s)
+            level = camera.all_tilted(found, -world.ego.pitch_rad)
+            meter.see(time_s, observer.look(time_s).true_boxes(), [ReportedBox(box) for box in level])
             return found
 
         return detects
@@ -175,10 +203,10 @@ class InTheLoop:
         return {MEASURES: {}} if self.meter is None else measures_to_json(self.meter)
 
 
-def _bodies(world: World, first_id: int, time_s: float) -> list[Body]:
+def _bodies(world: World, time_s: float) -> list[Body]:
     bodies = [
         Body(
-            id=first_id + index,
+            id=number,
             kind=BodyKind.VEHICLE,
             x_m=vehicle.x_m,
             y_m=vehicle.y_m,
@@ -186,13 +214,14 @@ def _bodies(world: World, first_id: int, time_s: float) -> list[Body]:
             length_m=vehicle.length_m,
             width_m=vehicle.width_m,
             height_m=vehicle.size.height_m,
-            look=7 * index + 3,
+            look=_look(number),
+            braking=brake_lights_on(vehicle.speed_mps, vehicle.accel_mps2),
         )
-        for index, vehicle in enumerate(world.vehicles)
+        for number, vehicle in enumerate(world.vehicles, 1)
     ]
     bodies += [
         Body(
-            id=first_id + index,
+            id=number,
             kind=BodyKind.PERSON,
             x_m=walker.x_m,
             y_m=walker.y_m,
@@ -200,9 +229,18 @@ def _bodies(world: World, first_id: int, time_s: float) -> list[Body]:
             length_m=walker.length_m,
             width_m=walker.width_m,
             height_m=PERSON_HEIGHT_M,
-            look=7 * index + 3,
-            phase=gait(walker.speed_mps, time_s + 0.1 * index),
+            look=_look(number),
+            phase=_gait(walker.speed_mps, time_s + 0.1 * number),
         )
-        for index, walker in enumerate(world.walkers, len(bodies))
+        for number, walker in enumerate(world.walkers, 1 + len(bodies))
     ]
     return bodies
+
+
+def _look(number: int) -> int:
+    return 7 * number - 4
+
+
+def _gait(speed_mps: float, time_s: float) -> float:
+    """Return the pose of the legs of a person, as an angle in [0, 2 pi); 0 while the person stands."""
+    return (2.0 * math.pi * STEPS_PER_S * time_s if speed_mps > 0.1 else 0.0) % (2.0 * math.pi)

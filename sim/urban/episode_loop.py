@@ -6,6 +6,7 @@ never noisy. The quality of the other parts depends on time of day and weather.
 """
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
@@ -14,6 +15,7 @@ from brink.sim.bullet.engine import Engine
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import (
     CONTROL_STEP_S,
+    LATENCY_S,
     PERCEPTION_STEP_S,
     Box,
     Command,
@@ -24,11 +26,11 @@ from brink.sim.driving.interface import (
     Observation,
 )
 from brink.sim.requirements import Requirement, WorldSample
-from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour, last_perception_step
+from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from brink.sim.urban.facts import Facts
 from brink.sim.urban.recorder import Recorder
 from brink.sim.world.streams import Stream, generator
-from brink.sim.world.world import EGO_STEPS, World, bodies_of
+from brink.sim.world.world import EGO_STEPS, World, bodies_of, screens_of
 
 Detects: TypeAlias = Callable[[float], tuple[Box, ...]]
 """Returns the detections of an obstacle detector at a simulated time."""
@@ -69,6 +71,7 @@ class Sensing:
     ) -> None:
         self._world = world
         self._step_s = step_s
+        self._injected_steps = step_s / PERCEPTION_STEP_S
         self._detects = detects
         self._behaviour = behaviour
         self.delivered: list[tuple[int, int] | None] = [None] * len(behaviour.trajectories)
@@ -143,7 +146,7 @@ class Sensing:
             return self.truth()
         boxes = []
         for index, trajectory in enumerate(self._behaviour.trajectories):
-            box = trajectory.box_at(perception_step)
+            box = trajectory.box_at(perception_step * self._injected_steps)
             if box is not None:
                 boxes.append(box)
                 since = self.delivered[index]
@@ -154,12 +157,10 @@ class Sensing:
         """Return the boxes of all bodies visible to the camera."""
         world = self._world
         ego = world.ego
-        return tuple(
-            sight.box for sight in self._camera.look(ego.x_m, ego.y_m, ego.yaw_rad, bodies_of(world))
-        )
+        sights = self._camera.look(ego.x_m, ego.y_m, ego.yaw_rad, bodies_of(world), screens_of(world.road))
+        return self._camera.all_tilted((sight.box for sight in sights), ego.pitch_rad)
 
 
-CONTROL_PER_PERCEPTION = round(PERCEPTION_STEP_S / CONTROL_STEP_S)
 STANDS_BELOW_MPS = 0.1
 
 
@@ -210,6 +211,8 @@ def run_loop(
     recorder: Recorder | None,
     witness: Witness | None = None,
     detects: Detects | None = None,
+    latency_s: float = LATENCY_S,
+    perception_step_s: float = PERCEPTION_STEP_S,
     to_the_end: bool = False,
 ) -> Outcome:
     """Run an episode until the goal, the ego's first collision, or the end of its duration.
@@ -226,16 +229,18 @@ def run_loop(
         recorder: Records the trace, if given.
         witness: Observes the episode, if given.
         detects: The obstacle detector, if it is used in place of `behaviour`.
+        latency_s: Time from an image to the arrival of what was detected in it; rounded to control steps.
+        perception_step_s: Time between images, a multiple of `CONTROL_STEP_S`.
         to_the_end: Continue after the goal and after collisions, to measure the cost of a full episode.
     """
-    last_step = last_perception_step(duration_s)
+    last_step = round(duration_s / perception_step_s)
     sensing = Sensing(
         world,
         behaviour,
         camera,
         seed=seed,
         perception_steps=last_step + 1,
-        step_s=PERCEPTION_STEP_S,
+        step_s=perception_step_s,
         detects=detects,
     )
     facts = Facts(world, engine)
@@ -248,8 +253,11 @@ def run_loop(
         recorder=recorder,
         witness=witness,
         sample=facts.measure(0.0),
+        latency_steps=round(latency_s / CONTROL_STEP_S),
+        control_per_perception=round(perception_step_s / CONTROL_STEP_S),
+        processed=deque(),
     )
-    for step in range(CONTROL_PER_PERCEPTION * last_step):
+    for step in range(loop.control_per_perception * last_step):
         sample = loop.step(step)
         if (sample.collision is not None or sample.goal_reached) and not to_the_end:
             break
@@ -269,6 +277,9 @@ class _Loop:
     recorder: Recorder | None
     witness: Witness | None
     sample: WorldSample
+    latency_steps: int
+    control_per_perception: int
+    processed: deque[tuple[int, float, tuple[Box, ...], LightReading | None]]
     light: LightReading | None = None
     least_front_m: float | None = None
     standing: int = 0
@@ -281,7 +292,7 @@ class _Loop:
         ego.set_grade(world.grade_at(self.sample.station_m))
         ego.drive(command.accel_mps2, command.steer_rad, EGO_STEPS)
         world.advance(step)
-        self.sample = sample = self.facts.measure((step + 1) * CONTROL_STEP_S)
+        self.sample = sample = self.facts.measure((step + 1) * CONTROL_STEP_S, emergency=command.emergency)
         recorder, witness = self.recorder, self.witness
         if witness is not None:
             witness.see(sample, self.driving)
@@ -304,15 +315,22 @@ class _Loop:
         """Give the driving system its observation and return its command."""
         time_s = step * CONTROL_STEP_S
         sensing = self.sensing
-        if step % CONTROL_PER_PERCEPTION:
+        perception_step, between = divmod(step, self.control_per_perception)
+        if between:
             state = sensing.localise(None)
-            return self.driving.step(Observation(time_s=time_s, ego=state, boxes=None, light=self.light))
-        perception_step = step // CONTROL_PER_PERCEPTION
-        boxes = sensing.boxes(perception_step)
-        state = sensing.localise(perception_step)
-        self.light = light = sensing.light(perception_step, time_s)
-        command = self.driving.step(Observation(time_s=time_s, ego=state, boxes=boxes, light=light))
-        if self.recorder is not None:
+        else:
+            boxes = sensing.boxes(perception_step)
+            state = sensing.localise(perception_step)
+            self.processed.append(
+                (step + self.latency_steps, time_s, boxes, sensing.light(perception_step, time_s))
+            )
+        arrived, seen_s = None, None
+        if self.processed and self.processed[0][0] <= step:
+            _, seen_s, arrived, self.light = self.processed.popleft()
+        command = self.driving.step(
+            Observation(time_s=time_s, ego=state, boxes=arrived, light=self.light, seen_s=seen_s)
+        )
+        if self.recorder is not None and not between:
             shown = self.sample.light.value if self.sample.light is not None else ""
             self.recorder.sample(time_s, self.driving, sensing.truth(), boxes, shown)
         return command

@@ -1,7 +1,8 @@
 """The obstacle detector that reports the truth with errors.
 
-Errors act on image boxes, before tracking, one after another. An error of severity 0 changes nothing, so that without
-others the reported boxes are the true ones, bit for bit.
+Errors act on image boxes, before tracking, one after another, as if the camera were level; the boxes are tilted with
+the camera at the end. An error of severity 0 changes nothing, so that without others the reported boxes are the true
+ones, bit for bit.
 """
 
 import math
@@ -23,7 +24,7 @@ from brink.sim.urban.detection_errors import (
 from brink.sim.urban.error_meter import TrueBox
 from brink.sim.world.pedestrians import PERSON_HEIGHT_M, PERSON_LENGTH_M, PERSON_WIDTH_M, Phase, Walker
 from brink.sim.world.vehicle import CAR
-from brink.sim.world.world import World, bodies_of
+from brink.sim.world.world import World, bodies_of, screens_of
 
 FLICKER_PERIOD_S: Final = 2.0
 GHOST_AHEAD_M: Final = 15.0
@@ -54,6 +55,8 @@ class ErroneousDetector:
     """
 
     def __init__(self, world: World, camera: Camera, errors: Sequence[DetectionError]) -> None:
+        self._world = world
+        self._camera = camera
         self._observer = Observer(world, camera)
         self._errors = [_ActiveError(error, camera) for error in errors]
         self.steps: list[tuple[int, int] | None] = [None] * len(errors)
@@ -68,7 +71,7 @@ class ErroneousDetector:
             if changed:
                 since = self.steps[index]
                 self.steps[index] = (since[0] if since else step, step)
-        return tuple(box for _, box in boxes)
+        return self._camera.all_tilted((box for _, box in boxes), self._world.ego.pitch_rad)
 
 
 class Observer:
@@ -92,7 +95,7 @@ class Observer:
         ego = world.ego
         bodies = bodies_of(world)
         self._station_m, _ = world.route.line.project(ego.x_m, ego.y_m, self._station_m)
-        sights = self._camera.look(ego.x_m, ego.y_m, ego.yaw_rad, bodies)
+        sights = self._camera.look(ego.x_m, ego.y_m, ego.yaw_rad, bodies, screens_of(world.road))
         speeds = {vehicle.name: vehicle.speed_mps for vehicle in world.vehicles}
         braking = {
             index
@@ -329,10 +332,13 @@ class _ActiveError:
     def _ghosts_now(self, scene: Scene) -> list[Box]:
         ego = scene.world.ego
         if self._error.type is ErrorType.GHOST_IN_IMAGE and self._ghost_boxes:
-            return self._ghost_boxes
+            # It stays in the image of the camera, whatever its pitch.
+            return list(self._camera.all_tilted(self._ghost_boxes, -ego.pitch_rad))
         seen = [self._camera.project(ego.x_m, ego.y_m, ego.yaw_rad, body) for body in self._ghosts]
-        self._ghost_boxes = [one[0] for one in seen if one is not None]
-        return self._ghost_boxes
+        boxes = [sight[0] for sight in seen if sight is not None]
+        if self._error.type is ErrorType.GHOST_IN_IMAGE:
+            self._ghost_boxes = list(self._camera.all_tilted(boxes, ego.pitch_rad))
+        return boxes
 
 
 def _nothing(box: Box) -> None:

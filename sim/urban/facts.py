@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from brink.sim.bullet.engine import Block, BodyId, Closest, Engine
 from brink.sim.driving.interface import LightState
+from brink.sim.plane import half_extents_m
 from brink.sim.requirements import Collision, CollisionKind, WorldSample
 from brink.sim.world.pedestrians import PERSON_HEIGHT_M
 from brink.sim.world.scenery import fixtures
@@ -31,6 +32,15 @@ CREEPING_MPS = 0.05
 SUNK_IN_M = 0.3
 SUNK_IN_S = 0.1
 """A vehicle still counts as ahead if the bumper is inside it by up to `SUNK_IN_M` plus this driving time."""
+
+REGION_BEGINS_M = 1.3
+REGION_AHEAD_M = 10.5
+REGION_ASIDE_M = 1.9
+"""Emergency braking has a reason if a road user is up to `REGION_AHEAD_M` before the camera and within
+`REGION_ASIDE_M` of its axis, was within `LOOK_BACK_S`, or will be within `LOOK_AHEAD_S`, at constant velocities."""
+LOOK_BACK_S = 0.5
+LOOK_AHEAD_S = 2.0
+LOOK_STEP_S = 0.1
 
 WAITING_RANGE_M = 10.0
 WAITING_ASIDE_M = 3.0
@@ -75,6 +85,7 @@ class Facts:
         self._engine = engine
         self._near_station_m = 0.0
         self._still_clear_m = 0.0
+        self._has_reason = False
         ego = world.ego
         self._junctions = [
             world.road.forward.pose_at(junction.forward_m)[:2] for junction in world.road.junctions
@@ -108,8 +119,13 @@ class Facts:
             for fixture, body in zip(still, ids[after:], strict=True)
         ]
 
-    def measure(self, time_s: float) -> WorldSample:
-        """Return the current facts about the ego."""
+    def measure(self, time_s: float, *, emergency: bool = False) -> WorldSample:
+        """Return the current facts about the ego.
+
+        Args:
+            time_s: Simulated time.
+            emergency: Whether the ego's last command was emergency braking.
+        """
         world = self._world
         ego, route = world.ego, world.route
         self._engine.move(self._ego_body, ego.x_m, ego.y_m, ego.yaw_rad, self._ego_height_m)
@@ -158,7 +174,34 @@ class Facts:
             in_conflict_area=offset_m + 0.5 * ego.width_m > half_lane_m
             or self._on_junction_or_crossing(station_m),
             goal_reached=goal,
+            brakes_for_nothing=self._brakes_for_nothing(emergency=emergency),
         )
+
+    def _brakes_for_nothing(self, *, emergency: bool) -> bool:
+        """Return whether the ego has had no reason to brake since its emergency braking began."""
+        self._has_reason = emergency and (self._has_reason or self._anyone_expected())
+        return emergency and not self._has_reason
+
+    def _anyone_expected(self) -> bool:
+        """Return whether anyone is right before the ego, has just been there, or is on a course to there."""
+        ego = self._world.ego
+        cos_yaw, sin_yaw = math.cos(ego.yaw_rad), math.sin(ego.yaw_rad)
+        for user, _ in (*self._vehicles, *self._walkers):
+            turn = user.yaw_rad - ego.yaw_rad
+            half_along_m, half_across_m = half_extents_m(user.length_m, user.width_m, turn)
+            dx, dy = user.x_m - ego.x_m, user.y_m - ego.y_m
+            ahead_m = dx * cos_yaw + dy * sin_yaw - REGION_BEGINS_M
+            aside_m = dy * cos_yaw - dx * sin_yaw
+            closing_mps = user.speed_mps * math.cos(turn) - ego.speed_mps
+            across_mps = user.speed_mps * math.sin(turn)
+            for step in range(-round(LOOK_BACK_S / LOOK_STEP_S), round(LOOK_AHEAD_S / LOOK_STEP_S) + 1):
+                then_s = LOOK_STEP_S * step
+                if (
+                    -half_along_m <= ahead_m + closing_mps * then_s - half_along_m <= REGION_AHEAD_M
+                    and abs(aside_m + across_mps * then_s) <= REGION_ASIDE_M + half_across_m
+                ):
+                    return True
+        return False
 
     def _vehicles_around(self, station_m: float, offset_m: float, nearest: _Nearest) -> float | None:
         """Return the front gap, and update the nearest body."""
@@ -186,7 +229,8 @@ class Facts:
                 continue
             self._engine.move(body, vehicle.x_m, vehicle.y_m, vehicle.yaw_rad, vehicle.size.height_m)
             limit_m = FRONT_RANGE_M if ahead else nearest.gap_m
-            found = self._query(vehicle, body, CollisionKind.VEHICLE, limit_m, nearest)
+            kind = CollisionKind.VEHICLE if vehicle.is_vehicle else CollisionKind.OBJECT
+            found = self._query(vehicle, body, kind, limit_m, nearest)
             if not ahead or found is None or (front_m is not None and found.clearance_m >= front_m):
                 continue
             if found.clearance_m > BESIDE_WITHIN_M or self._before_bumper(found):

@@ -1,4 +1,4 @@
-"""The obstacle detector with errors from a fitted process, and its simulator, `brink-drive-fitted@1`.
+"""The obstacle detector with errors from a fitted process, and its simulator, `brink-drive-fitted@2`.
 
 What the detector did is measured as with a camera, in the terms of `detection_errors`.
 """
@@ -24,7 +24,7 @@ from brink.sim.urban.simulator import BrinkDrive, UrbanDetector
 from brink.sim.world.streams import Stream, generator
 from brink.sim.world.world import World
 
-SIMULATOR_ID: Final = "brink-drive-fitted@1"
+SIMULATOR_ID: Final = "brink-drive-fitted@2"
 REPLICATE: Final = "replicate"
 """Name of the feature that says which replicate of the fit was driven."""
 _GHOSTS_FROM_M: Final = 5.0
@@ -71,7 +71,7 @@ class FittedDetector:
             ]
             boxes += [one[0] for one in seen if one is not None]
         self.meter.see(time_s, scene.true_boxes(), [ReportedBox(box) for box in boxes])
-        return tuple(boxes)
+        return self._camera.all_tilted(boxes, ego.pitch_rad)
 
     def _reported(self, sight: Sighting, step: int, *, is_target: bool) -> Box | None:
         """Return the box of a road user in sight; None if it is not reported."""

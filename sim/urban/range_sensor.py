@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.sim.driving.interface import CONTROL_STEP_S, PERCEPTION_STEP_S
 from brink.sim.episode import EpisodeSpec
 from brink.sim.guard.interface import RANGE_M, SECTOR_EDGES_DEG, KnownConditions, RangeScan
 from brink.sim.urban.behaviour import last_perception_step
@@ -53,14 +54,16 @@ class RangeSensor:
         still = [(one.x_m, one.y_m, one.yaw_rad, one.length_m, one.width_m) for one in fixtures(world.road)]
         self._still = np.array(still, np.float64).reshape(-1, 5)
 
-    def scan(self, perception_step: int) -> RangeScan:
-        """Return the scan at a perception step."""
+    def scan(self, number: int) -> RangeScan:
+        """Return what the sensor measures now.
+
+        Args:
+            number: Number of the scan, from 0; see `scan_number`.
+        """
         exact = self.true_distances()
-        noisy = exact + (NOISE_M + NOISE_SHARE * np.minimum(exact, RANGE_M)) * self._noise[perception_step]
+        noisy = exact + (NOISE_M + NOISE_SHARE * np.minimum(exact, RANGE_M)) * self._noise[number]
         measured = np.where(exact <= RANGE_M, np.maximum(noisy, 0.0), np.inf)
-        return RangeScan(
-            distances_m=tuple(np.where(self._dropped[perception_step], np.nan, measured).tolist())
-        )
+        return RangeScan(distances_m=tuple(np.where(self._dropped[number], np.nan, measured).tolist()))
 
     def true_distances(self) -> FloatArray:
         """Return the exact distance to the nearest obstacle in each sector; infinite beyond the range."""
@@ -142,6 +145,11 @@ def in_view(ahead_m: float, left_m: float, turn_rad: float, length_m: float, wid
     place = (np.array([value]) for value in (ahead_m, left_m, turn_rad, length_m, width_m))
     corners = _corners(*place)
     return bool(sector_distances(corners, np.roll(corners, -1, axis=1)).min() <= RANGE_M)
+
+
+def scan_number(time_s: float) -> int:
+    """Return the number of a scan that is made when boxes arrive, whatever the latency of the detector."""
+    return int((time_s + 0.5 * CONTROL_STEP_S) / PERCEPTION_STEP_S)
 
 
 def known_conditions(scenario: UrbanScenario) -> KnownConditions:

@@ -5,32 +5,39 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, DrivingSystem, ObstacleLabel, PlanMode
 from brink.sim.episode import Json
 from brink.sim.guard.guarded import Guarded
 from brink.sim.requirements import WorldSample
 from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, ActorTrack, Event, GuardTrack, Ragged, Trace
 from brink.sim.world.scenery import scene_surfaces
-from brink.sim.world.world import RoadUser, World
+from brink.sim.world.world import RoadUser, World, bodies_of, screens_of
 
 ROUTE_EVERY_M = 1.0
 ROUTE_BEYOND_M = 15.0
 _LABELS = {ObstacleLabel.VEHICLE: 0.0, ObstacleLabel.PERSON: 1.0}
 
 
-class _Rows:
-    """Accumulates rows of a `Ragged` array."""
+class RaggedRows:
+    """Accumulates rows of a `Ragged` array.
+
+    Args:
+        columns: Names of the columns.
+    """
 
     def __init__(self, columns: tuple[str, ...]) -> None:
         self._columns = columns
         self._first = [0]
-        self._rows: list[tuple[float, ...]] = []
+        self._rows: list[Sequence[float]] = []
 
-    def add(self, rows: Sequence[tuple[float, ...]]) -> None:
+    def add(self, rows: Sequence[Sequence[float]]) -> None:
+        """Append an element with these rows."""
         self._rows += rows
         self._first.append(len(self._rows))
 
     def ragged(self) -> Ragged:
+        """Return all elements so far."""
         rows = np.array(self._rows, dtype=np.float32).reshape(-1, len(self._columns))
         return Ragged(columns=self._columns, first=np.array(self._first, dtype=np.int32), rows=rows)
 
@@ -41,18 +48,22 @@ class Recorder:
     Args:
         world: The world to record.
         requirements: Ids of the requirements, in order.
+        camera: The obstacle detector's camera.
     """
 
-    def __init__(self, world: World, requirements: Sequence[str]) -> None:
+    def __init__(self, world: World, requirements: Sequence[str], camera: Camera) -> None:
         self._world = world
+        self._camera = camera
         self._ids = tuple(requirements)
         self._times: list[float] = []
         self._ego: list[tuple[float, float, float, float, float]] = []
         self._actors: list[RoadUser] = [*world.vehicles, *world.walkers]
         self._motions: list[list[tuple[float, float, float, float]]] = [[] for _ in self._actors]
-        self._seen = _Rows(BOX_COLUMNS)
-        self._given = _Rows(BOX_COLUMNS)
-        self._perceived = _Rows(PERCEIVED_COLUMNS)
+        self._visible: list[list[float]] = []
+        self._pitches: list[float] = []
+        self._seen = RaggedRows(BOX_COLUMNS)
+        self._given = RaggedRows(BOX_COLUMNS)
+        self._perceived = RaggedRows(PERCEIVED_COLUMNS)
         self._modes: list[str] = []
         self._speeds: list[float] = []
         self._offsets: list[float] = []
@@ -83,6 +94,8 @@ class Recorder:
         self._ego.append((ego.x_m, ego.y_m, ego.yaw_rad, ego.speed_mps, ego.accel_mps2))
         for motion, actor in zip(self._motions, self._actors, strict=True):
             motion.append((actor.x_m, actor.y_m, actor.yaw_rad, actor.speed_mps))
+        self._pitches.append(ego.pitch_rad)
+        self._visible.append(self._visible_shares())
         self._seen.add([_box_row(box) for box in seen])
         self._given.add([_box_row(box) for box in given])
         self._perceived.add(
@@ -112,6 +125,16 @@ class Recorder:
         if isinstance(driving, Guarded):
             reading = driving.reading
             self._readings.append((reading.probabilities, reading.alarm, driving.intervenes))
+
+    def _visible_shares(self) -> list[float]:
+        """Return the visible share of each road user; NaN if it is not in the camera's image."""
+        world, ego = self._world, self._world.ego
+        shares = [math.nan] * len(self._actors)
+        for sight in self._camera.sights(
+            ego.x_m, ego.y_m, ego.yaw_rad, bodies_of(world), screens_of(world.road)
+        ):
+            shares[sight.body] = sight.visible
+        return shares
 
     def end(self, time_s: float, driving: DrivingSystem, light: str) -> None:
         """Record the end of the episode, with the boxes of the last perception step.
@@ -170,6 +193,7 @@ class Recorder:
         line = world.route.line
         count = math.ceil((line.length_m + ROUTE_BEYOND_M) / ROUTE_EVERY_M)
         route = [line.pose_at(ROUTE_EVERY_M * i)[:2] for i in range(count + 1)]
+        visible = np.array(self._visible, dtype=np.float32).reshape(len(self._times), len(self._actors))
         actors = tuple(
             ActorTrack(
                 name=actor.name,
@@ -177,6 +201,7 @@ class Recorder:
                 length_m=actor.length_m,
                 width_m=actor.width_m,
                 motion=np.array(motion, dtype=np.float32).reshape(-1, 4),
+                visible=visible[:, index],
             )
             for index, (actor, motion) in enumerate(zip(self._actors, self._motions, strict=True))
         )
@@ -200,6 +225,7 @@ class Recorder:
             scene=scene_surfaces(world.road),
             about=about,
             guard=None if guarded is None else self._guard_track(guarded),
+            pitch_rad=np.array(self._pitches, dtype=np.float32),
         )
 
     def _guard_track(self, guarded: Guarded) -> GuardTrack:

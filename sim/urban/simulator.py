@@ -1,4 +1,4 @@
-"""The simulators of urban episodes: `brink-drive@2`, and `brink-drive-errors@1` with errors relative to the truth.
+"""The simulators of urban episodes: `brink-drive@3`, and `brink-drive-errors@2` with errors relative to the truth.
 
 The same specification gives the same verdicts and the same trace, bit for bit, in any process and after any other
 episodes on the same class of processor: random draws come from streams addressed by position, all objects are created
@@ -7,6 +7,7 @@ anew, and the physics engine is emptied first.
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Protocol
 
@@ -14,12 +15,11 @@ from brink.sim.bullet.engine import Engine, EngineError, bullet_versions, discar
 from brink.sim.bullet.wheels import WheeledCar
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import PERCEPTION_STEP_S, DrivingSystem
+from brink.sim.driving.interface import DrivingSystem
 from brink.sim.driving.system import ModularDriving
-from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, nearest
-from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
+from brink.sim.errors import SimulationCrashed
 from brink.sim.guard.guarded import Guarded
-from brink.sim.guard.option import OPTION as GUARD
 from brink.sim.guard.option import GuardOption, option_of
 from brink.sim.provenance import provenance, trace_header
 from brink.sim.requirements import Requirement, features_of, verdicts_of
@@ -27,20 +27,16 @@ from brink.sim.urban.behaviour import DELIVERED, BehaviourMode, DetectorBehaviou
 from brink.sim.urban.detection_errors import ERROR_STEPS, DetectionError, errors_from_json
 from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
 from brink.sim.urban.erroneous_detector import ErroneousDetector
-from brink.sim.urban.range_sensor import known_conditions, range_sensor
+from brink.sim.urban.options import WHEELS, DriveOptions
+from brink.sim.urban.range_sensor import known_conditions, range_sensor, scan_number
 from brink.sim.urban.recorder import Recorder
-from brink.sim.world.ego import EgoCar, MakeEgo
+from brink.sim.world.ego import EGO_CAR, CarModel, EgoCar, MakeEgo
 from brink.sim.world.scenario import UrbanScenario
 from brink.sim.world.world import World, make_world
 
-SIMULATOR_ID = "brink-drive@2"
-ERRORS_SIMULATOR_ID = "brink-drive-errors@1"
+SIMULATOR_ID = "brink-drive@3"
+ERRORS_SIMULATOR_ID = "brink-drive-errors@2"
 MAX_DURATION_S = 600.0
-BICYCLE, WHEELS = "bicycle", "wheels"
-FIDELITIES = (BICYCLE, WHEELS)
-"""Motion model of the ego: single-track, or four wheels in the physics engine (about ten times slower)."""
-OPTIONS = ("fidelity", GUARD)
-"""The options of an episode; see `GuardOption` for the second one."""
 
 
 class BrinkDrive:
@@ -48,12 +44,9 @@ class BrinkDrive:
 
     id = SIMULATOR_ID
 
-    def __init__(self) -> None:
-        self._camera = Camera()
-
-    def _driving(self, world: World, scenario: UrbanScenario, spec: EpisodeSpec) -> DrivingSystem:
+    def _driving(self, world: World, camera: Camera) -> DrivingSystem:
         """Return the driving system under test, new."""
-        return ModularDriving(world.route, camera=self._camera)
+        return ModularDriving(world.route, camera=camera)
 
     def _detector(self, spec: EpisodeSpec) -> "UrbanDetector":
         """Return the obstacle detector of an episode.
@@ -74,12 +67,14 @@ class BrinkDrive:
             InvalidEpisode: The specification can never run.
             SimulationCrashed: The physics engine failed.
         """
-        scenario = _read_scenario(spec, self.id)
+        spec.check_for(self.id, MAX_DURATION_S)
+        options = DriveOptions.from_json(spec.options)
+        scenario = UrbanScenario.from_json(spec.scenario)
         guard = option_of(spec.options)
         detector = self._detector(spec)
         requirements = make_requirements(spec.requirements)
         try:
-            return self._run(spec, scenario, detector, requirements, guard=guard, record=record)
+            return self._run(spec, scenario, detector, requirements, options, guard=guard, record=record)
         except EngineError as error:
             discard_engine()
             raise SimulationCrashed(f"the physics engine failed: {error}") from error
@@ -90,6 +85,7 @@ class BrinkDrive:
         scenario: UrbanScenario,
         detector: "UrbanDetector",
         requirements: Mapping[str, Requirement],
+        options: DriveOptions,
         *,
         guard: GuardOption | None,
         record: bool,
@@ -97,9 +93,10 @@ class BrinkDrive:
         cpu_s = time.process_time()
         engine = process_engine()
         engine.reset()
-        world = make_world(scenario, spec.seed, _ego_maker(spec, engine))
-        recorder = Recorder(world, spec.requirements) if record else None
-        system = self._driving(world, scenario, spec)
+        camera = Camera(least_visible=options.least_visible)
+        world = make_world(scenario, spec.seed, _ego_maker(options, engine))
+        recorder = Recorder(world, spec.requirements, camera) if record else None
+        system = self._driving(world, camera)
         guarded = None if guard is None else _with_guard(system, guard, world, scenario, spec)
         outcome = run_loop(
             world,
@@ -107,11 +104,12 @@ class BrinkDrive:
             detector.behaviour,
             requirements,
             engine=engine,
-            camera=self._camera,
+            camera=camera,
             seed=spec.seed,
             duration_s=spec.duration_s,
             recorder=recorder,
-            detects=detector.start(world, self._camera),
+            detects=detector.start(world, camera),
+            latency_s=options.latency_s,
         )
         verdicts = verdicts_of(requirements)
         versions = bullet_versions()
@@ -193,23 +191,6 @@ class _WithErrors:
         return {ERROR_STEPS: steps_to_json(steps), "severity": max(acted, default=0.0)}
 
 
-def _read_scenario(spec: EpisodeSpec, simulator: str) -> UrbanScenario:
-    """Parse the scenario and check the options of a specification.
-
-    Raises:
-        InvalidEpisode: The specification can never run.
-    """
-    spec.check_for(simulator, MAX_DURATION_S)
-    for name, value in spec.options.items():
-        if name not in OPTIONS:
-            raise InvalidEpisode(
-                f"options: unknown field {name!r}{nearest(name, OPTIONS)}; expected {', '.join(OPTIONS)}"
-            )
-        if name == "fidelity" and (not isinstance(value, str) or value not in FIDELITIES):
-            raise InvalidEpisode(f"options.fidelity: expected one of {', '.join(FIDELITIES)}; got {value!r}")
-    return UrbanScenario.from_json(spec.scenario)
-
-
 def _with_guard(
     system: DrivingSystem, guard: GuardOption, world: World, scenario: UrbanScenario, spec: EpisodeSpec
 ) -> Guarded:
@@ -220,14 +201,20 @@ def _with_guard(
         system,
         world.route,
         conditions,
-        scan=None if sensor is None else lambda time_s: sensor.scan(round(time_s / PERCEPTION_STEP_S)),
+        scan=None if sensor is None else lambda time_s: sensor.scan(scan_number(time_s)),
     )
 
 
-def _ego_maker(spec: EpisodeSpec, engine: Engine) -> MakeEgo:
-    if spec.options.get("fidelity", BICYCLE) == WHEELS:
-        return partial(WheeledCar, engine)
-    return EgoCar
+def car_of(options: DriveOptions, car: CarModel = EGO_CAR) -> CarModel:
+    """Return the ego's car, without pitch if the options say so."""
+    return car if options.pitch else replace(car, pitch_rad_per_mps2=0.0)
+
+
+def _ego_maker(options: DriveOptions, engine: Engine) -> MakeEgo:
+    car = car_of(options)
+    if options.fidelity == WHEELS:
+        return partial(WheeledCar, engine, model=car)
+    return partial(EgoCar, model=car)
 
 
 def outcome_features(outcome: Outcome) -> dict[str, Json]:

@@ -1,8 +1,9 @@
 """Pedestrians: how they walk, and which of them use the pavement, the crossing, or cross elsewhere.
 
 A walker follows the pavement (a station and an offset on the road's centre line). To cross, it turns to the road,
-walks up to the kerb, waits there for a gap, and walks straight across. Walkers look around five times per second and
-move ten times per second.
+walks up to the kerb, waits there for a gap, and walks straight across. While crossing, it looks again: it stops
+before the path of a vehicle that would hit it, and hurries out of that path. Walkers look around five times per
+second and move ten times per second.
 """
 
 import math
@@ -24,12 +25,22 @@ WALKER_STEP_S = 0.1
 KERB_SETBACK_M = 0.45
 GAP_S = 3.5
 """Pedestrians do not step in front of vehicles that would reach them within this time."""
+WALK_ACCEL_MPS2 = 2.5
+"""A standing person walks at full speed after half a second, about one step."""
+HURRY_SHARE = 1.5
+"""Pedestrians leave the way of an approaching vehicle at this multiple of their walking speed."""
+TRUST_MPS2 = 3.0
+"""Those on a zebra crossing rely on drivers who can still stop with this braking."""
+BESIDE_LANE_M = 0.6
+"""Pedestrians who let a vehicle pass stop this far from its path."""
 
 ZEBRA_SHARE = 1.0 / 3.0
 ELSEWHERE_SHARE = 1.0 / 6.0
 CLEAR_OF_JUNCTION_M = 6.0
 NEEDED_RED_S = 4.0
 """Pedestrians start across a crossing with lights only if the road stays red for at least this long."""
+
+_STANDS_BELOW_MPS = 1e-6
 
 
 class Phase(IntEnum):
@@ -68,6 +79,7 @@ class Walker:
         "_sin_yaw",
         "_target_m",
         "_waited_s",
+        "_wanted_mps",
         "ahead",
         "centre",
         "crosses_at_m",
@@ -118,6 +130,7 @@ class Walker:
         self.on_zebra = on_zebra
         self._go_ahead = go_ahead
         self._waited_s = 0.0
+        self._wanted_mps = speed_mps
         self._target_m = -offset_m
         self._place()
 
@@ -125,6 +138,18 @@ class Walker:
     def has_right_of_way(self) -> bool:
         """Whether vehicles must give way to this pedestrian."""
         return self.on_zebra and self.phase is not Phase.ALONG
+
+    def is_near(self, offset_m: float, half_m: float, margin_m: float) -> bool:
+        """Return whether this pedestrian is in a strip along the road, or close to it and not moving away.
+
+        Args:
+            offset_m: Middle of the strip.
+            half_m: Half its width.
+            margin_m: How far from the strip is close.
+        """
+        to_go_m = offset_m - self.offset_m
+        leaves = self.phase is Phase.CROSSING and to_go_m * self._target_m < 0.0
+        return abs(to_go_m) < (half_m if leaves else half_m + margin_m)
 
     def _place(self) -> None:
         self.x_m, self.y_m, along = self.centre.pose_at(self.station_m, self.offset_m)
@@ -151,11 +176,14 @@ class Walker:
             self._waited_s += 2.0 * WALKER_STEP_S
             if self._may_go(time_s, movers):
                 self.phase = Phase.CROSSING
-                self.speed_mps = self.walking_mps * 1.1
-        elif self.phase is Phase.CROSSING and abs(self.offset_m - self._target_m) < 0.3:
-            self.phase = Phase.ALONG
-            self.crosses_at_m = None
-            self.speed_mps = self.walking_mps
+                self._wanted_mps = self.walking_mps * 1.1
+        elif self.phase is Phase.CROSSING:
+            if abs(self.offset_m - self._target_m) < 0.3:
+                self.phase = Phase.ALONG
+                self.crosses_at_m = None
+                self._wanted_mps = self.walking_mps
+            else:
+                self._wanted_mps = self._crossing_mps(movers)
         self._place()
 
     def _may_go(self, time_s: float, movers: Sequence[Mover]) -> bool:
@@ -178,15 +206,47 @@ class Walker:
                 return False
         return True
 
+    def _crossing_mps(self, movers: Sequence[Mover]) -> float:
+        """Return how fast to go on across the road, given those who approach."""
+        walking_mps = self.walking_mps * 1.1
+        for mover in movers:
+            dx, dy = self.x_m - mover.x_m, self.y_m - mover.y_m
+            speed = mover.speed_mps
+            if speed < 0.3 or abs(dx) > 30.0 or abs(dy) > 30.0:
+                continue
+            cos_yaw, sin_yaw = math.cos(mover.yaw_rad), math.sin(mover.yaw_rad)
+            ahead_m = dx * cos_yaw + dy * sin_yaw - 0.5 * mover.length_m
+            if ahead_m < 0.0:
+                continue
+            # Across the mover's path, in the walker's direction; negative on this side of it.
+            heading = self._sin_yaw * cos_yaw - self._cos_yaw * sin_yaw
+            across_m = math.copysign(1.0, heading) * (dy * cos_yaw - dx * sin_yaw)
+            half_m = 0.5 * (mover.width_m + self.width_m) + 0.2
+            arrives_s = ahead_m / speed
+            enters_s, leaves_s = (-half_m - across_m) / walking_mps, (half_m - across_m) / walking_mps
+            if leaves_s < 0.0 or arrives_s < enters_s - 0.3 or arrives_s > leaves_s + 0.8:
+                continue
+            if across_m > -half_m:
+                return walking_mps * HURRY_SHARE
+            stops = self.on_zebra and speed * speed < 2.0 * TRUST_MPS2 * max(ahead_m - 1.0, 0.1)
+            if not stops and -half_m - across_m < BESIDE_LANE_M + 0.5 * self.speed_mps**2 / WALK_ACCEL_MPS2:
+                return 0.0
+        return walking_mps
+
     def move(self) -> None:
         """Advance by `WALKER_STEP_S`."""
-        step_m = self.speed_mps * WALKER_STEP_S
+        to_kerb_m = math.inf
         if self.phase is Phase.TO_KERB:
-            to_go_m = abs(self.offset_m) - self.kerb_m - KERB_SETBACK_M
-            if to_go_m <= step_m:
-                step_m = max(to_go_m, 0.0)
-                self.phase = Phase.WAITING
-                self.speed_mps = 0.0
+            to_kerb_m = max(abs(self.offset_m) - self.kerb_m - KERB_SETBACK_M, 0.0)
+        most_mps = WALK_ACCEL_MPS2 * WALKER_STEP_S
+        change_mps = min(self._wanted_mps, _stopping_within_mps(to_kerb_m)) - self.speed_mps
+        self.speed_mps += min(max(change_mps, -most_mps), most_mps)
+        if self.phase is Phase.TO_KERB and self.speed_mps < _STANDS_BELOW_MPS:
+            self.phase = Phase.WAITING
+            self.speed_mps = self._wanted_mps = 0.0
+        step_m = self.speed_mps * WALKER_STEP_S
+        if self.speed_mps <= most_mps:
+            step_m = min(step_m, to_kerb_m)
         if step_m == 0.0:
             return
         if self.phase is Phase.ALONG:
@@ -196,6 +256,14 @@ class Walker:
             self.offset_m += step_m if self._target_m > 0 else -step_m
         self.x_m += self._cos_yaw * step_m
         self.y_m += self._sin_yaw * step_m
+
+
+def _stopping_within_mps(to_go_m: float) -> float:
+    """Return the speed of the next step after which a walker who brakes in all further steps stops in time."""
+    if math.isinf(to_go_m):
+        return math.inf
+    half_step_s = 0.5 * WALKER_STEP_S
+    return WALK_ACCEL_MPS2 * (math.sqrt(half_step_s**2 + 2.0 * to_go_m / WALK_ACCEL_MPS2) - half_step_s)
 
 
 def make_people(

@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from brink.sim.driving.interface import LightState
+from brink.sim.driving.interface import Crossing, LightState
+from brink.sim.trace import Surface
 from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.scenario import DrivingTask, RoadCurve
 
@@ -109,6 +110,42 @@ class Junction:
     lit: bool
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fixture:
+    """A body that never moves.
+
+    Attributes:
+        kind: ``building``, ``parked-car`` or ``tree``.
+        length_m: Extent along its heading.
+        width_m: Extent across its heading.
+        height_m: Height.
+        x_m: Centre of its footprint.
+        y_m: Centre of its footprint.
+        yaw_rad: Heading.
+    """
+
+    kind: str
+    length_m: float
+    width_m: float
+    height_m: float
+    x_m: float
+    y_m: float
+    yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenery:
+    """What a road has of its own, in place of what stands along every road of its style.
+
+    Attributes:
+        fixtures: All bodies that never move.
+        surfaces: The surfaces of the scene in drawing order, without the fixtures.
+    """
+
+    fixtures: tuple[Fixture, ...]
+    surfaces: tuple[Surface, ...]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Road:
     """A road with its side streets.
@@ -122,6 +159,7 @@ class Road:
         backward: Centre line of the oncoming lane, in its own direction of travel.
         junctions: In driving order; the first exit is at the first junction, the second exit at the last.
         crossing_m: Station of the middle of the pedestrian crossing on the centre line.
+        scenery: Its own scenery; None if it has that of `brink.sim.world.scenery`.
     """
 
     curve: RoadCurve
@@ -132,6 +170,7 @@ class Road:
     backward: ReferenceLine
     junctions: tuple[Junction, ...]
     crossing_m: float
+    scenery: Scenery | None = None
 
     @property
     def kerb_m(self) -> float:
@@ -277,6 +316,7 @@ class LaneRoute:
         speed_limit_mps: Speed limit on the whole route.
         stop_line_stations_m: Stations of stop lines with a traffic light, ascending.
         oncoming: Stretches (from, to) in stations with an oncoming lane directly to the left.
+        crossings: Crossings without traffic lights, in driving order.
     """
 
     line: ReferenceLine
@@ -284,6 +324,7 @@ class LaneRoute:
     speed_limit_mps: float
     stop_line_stations_m: tuple[float, ...] = ()
     oncoming: tuple[tuple[float, float], ...] = field(default=())
+    crossings: tuple[Crossing, ...] = ()
 
     @property
     def length_m(self) -> float:
@@ -337,7 +378,25 @@ def ego_route(road: Road, task: DrivingTask) -> LaneRoute:
         speed_limit_mps=SPEED_LIMIT_MPS,
         stop_line_stations_m=stop_lines,
         oncoming=oncoming,
+        crossings=_crossings(road, line),
     )
+
+
+def _crossings(road: Road, line: ReferenceLine) -> tuple[Crossing, ...]:
+    """Return the crossing on a route, if it is on it and pedestrians have priority there."""
+    half_lane_m = 0.5 * road.style.lane_width_m
+    x_m, y_m, _ = road.centre.pose_at(road.crossing_m, -half_lane_m)
+    station_m, offset_m = line.project(x_m, y_m, road.crossing_m)
+    if road.junctions[0].lit or abs(offset_m) > half_lane_m:
+        return ()
+    half_m = 0.5 * CROSSING_WIDTH_M
+    crossing = Crossing(
+        from_m=station_m - half_m,
+        to_m=station_m + half_m,
+        right_kerb_m=half_lane_m - road.kerb_m,
+        left_kerb_m=half_lane_m + road.kerb_m,
+    )
+    return (crossing,)
 
 
 def exit_junction(road: Road, *, right: bool) -> Junction:

@@ -4,7 +4,6 @@ The same road always has the same scenery; nothing here is random.
 """
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -16,6 +15,7 @@ from brink.sim.world.road import (
     CROSSING_WIDTH_M,
     PARKING_STRIP_M,
     STOP_LINE_BEFORE_CROSSING_M,
+    Fixture,
     Junction,
     Road,
 )
@@ -34,32 +34,11 @@ STRIPE_M = 0.5
 _RING = 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fixture:
-    """A body that never moves.
-
-    Attributes:
-        kind: ``building``, ``parked-car`` or ``tree``.
-        length_m: Extent along its heading.
-        width_m: Extent across its heading.
-        height_m: Height.
-        x_m: Centre of its footprint.
-        y_m: Centre of its footprint.
-        yaw_rad: Heading.
-    """
-
-    kind: str
-    length_m: float
-    width_m: float
-    height_m: float
-    x_m: float
-    y_m: float
-    yaw_rad: float
-
-
 @lru_cache(maxsize=64)
 def fixtures(road: Road) -> tuple[Fixture, ...]:
     """Return all fixtures along a road."""
+    if road.scenery is not None:
+        return road.scenery.fixtures
     return (*_buildings(road), *_parked_cars(road), *_trees(road))
 
 
@@ -149,6 +128,8 @@ def _trees(road: Road) -> list[Fixture]:
 
 def scene_surfaces(road: Road) -> tuple[Surface, ...]:
     """Return the surfaces of a road in drawing order."""
+    if road.scenery is not None:
+        return (*road.scenery.surfaces, *map(_footprint, road.scenery.fixtures))
     kerb_m, walk_m = road.kerb_m, road.kerb_m + road.style.pavement_m
     streets = [street for junction in road.junctions for street in _streets(road, junction)]
     first_m, last_m = -BEFORE_M, road.length_m + BEYOND_M
@@ -197,16 +178,24 @@ def _line(
 
 
 def _markings(road: Road, streets: list[ReferenceLine], first_m: float, last_m: float) -> list[Surface]:
-    def in_junction(station_m: float) -> bool:
-        return any(abs(station_m - junction.station_m) < road.kerb_m + 1.0 for junction in road.junctions)
+    lit = any(junction.lit for junction in road.junctions)
+    clear_m = road.stop_line_before_junction_m if lit else road.kerb_m + 1.0
+
+    def is_free(dash_m: float) -> bool:
+        """Return whether a dash lies neither on the crossing nor in a junction, from stop line to stop line."""
+        if abs(dash_m + 0.5 * DASH_M - road.crossing_m) < 0.5 * (DASH_M + CROSSING_WIDTH_M):
+            return False
+        ends_m = (dash_m, dash_m + DASH_M)
+        return all(abs(end_m - one.station_m) >= clear_m for end_m in ends_m for one in road.junctions)
 
     surfaces = []
     lines = [(road.centre, first_m, last_m, True)]
-    lines += [(street, road.kerb_m + 3.0, street.length_m, False) for street in streets]
+    begins_m = clear_m if lit else road.kerb_m + 3.0
+    lines += [(street, begins_m, street.length_m, False) for street in streets]
     for line, from_m, to_m, main in lines:
         for number in range(int((to_m - from_m) / (2.0 * DASH_M))):
             dash_m = from_m + 2.0 * DASH_M * number
-            if not (main and (in_junction(dash_m) or in_junction(dash_m + DASH_M))):
+            if not main or is_free(dash_m):
                 surfaces.append(_line(line, "marking", dash_m, dash_m + DASH_M, 0.0, 0.15))
     return surfaces
 
@@ -231,7 +220,18 @@ def _crossing(road: Road) -> list[Surface]:
         surfaces.append(
             _strip(road.centre, "stop-line", stop_m - 0.15, stop_m + 0.15, -road.style.lane_width_m, -0.1)
         )
+        surfaces += _stop_lines_of_others(road, road.junctions[0])
     return surfaces
+
+
+def _stop_lines_of_others(road: Road, junction: Junction) -> list[Surface]:
+    """Return the stop lines of a lit junction at which the ego does not arrive; ``stop-line`` is the ego's alone."""
+    out_m = road.stop_line_before_junction_m
+    arms = [(road.centre, junction.station_m + out_m)]
+    arms += [(street, out_m) for street in _streets(road, junction)]
+    return [
+        _strip(arm, "marking", at_m - 0.15, at_m + 0.15, 0.1, road.style.lane_width_m) for arm, at_m in arms
+    ]
 
 
 def _footprint(fixture: Fixture) -> Surface:

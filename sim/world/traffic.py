@@ -42,6 +42,8 @@ MOUTH_SETBACK_M = 2.5
 """Distance from the kerb line at which drivers wait to leave a side street."""
 
 ROOM_TO_STOP_M = 28.0
+NEAR_LANE_M = 2.5
+"""Drivers stop for persons on a crossing who are this close to their lane, and not for those who have left it."""
 LEAD_STARTS_AHEAD_M = 26.0
 """Distance between the centres of the ego and the lead vehicle at the start."""
 
@@ -108,8 +110,8 @@ class _TrafficBuilder:
         slowdowns = []
         for number in range(4):
             begins_s = 5.0 + 8.0 * number + float(rng.uniform(-0.7, 0.7))
-            lasts_s = float(rng.uniform(1.6, 2.4))
-            slowdowns.append((begins_s, begins_s + lasts_s, 0.6))
+            lasts_s = float(rng.uniform(2.4, 3.2))
+            slowdowns.append((begins_s, begins_s + lasts_s, 0.3))
         path = stream_lane(self.road, main_stream)
         style = self._style(0, slowdowns=tuple(slowdowns))
         stops = self._stops(forward=True)
@@ -259,7 +261,14 @@ class _TrafficBuilder:
         return signals is not None and signals.side_at(time_s) is not LightState.GREEN
 
     def _people_cross(self, vehicle: Vehicle, time_s: float) -> bool:
-        return any(walker.has_right_of_way for walker in self.around.walkers)
+        """Return whether somebody with priority is in the vehicle's way on the crossing, or about to be."""
+        _, offset_m = self.road.centre.project(vehicle.x_m, vehicle.y_m, self.road.crossing_m)
+        half_lane_m = 0.5 * self.road.style.lane_width_m
+        lane_m = math.copysign(half_lane_m, offset_m)
+        return any(
+            walker.has_right_of_way and walker.is_near(lane_m, half_lane_m, NEAR_LANE_M)
+            for walker in self.around.walkers
+        )
 
     def _not_free(self, point: tuple[float, float, float]) -> MustStop:
         """Return a rule that makes a vehicle wait while a road user on the lane is about to arrive at a point."""

@@ -10,7 +10,7 @@ References:
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import ClassVar, Final, Protocol, TypeAlias
 
 from brink.sim.world.line import ReferenceLine
 
@@ -22,6 +22,18 @@ COMFORT_MPS2 = 1.6
 ACCEL_MPS2 = 1.6
 STANDSTILL_GAP_M = 2.2
 EMERGENCY_MPS2 = 6.5
+BRAKE_LIGHTS_FROM_MPS2: Final = 0.7
+HELD_BELOW_MPS: Final = 0.1
+
+
+def brake_lights_on(speed_mps: float, accel_mps2: float) -> bool:
+    """Return whether the brake lights of a driven vehicle are on: it slows down, or its brake holds it.
+
+    UN Regulation No. 13-H, 5.2.22.4, on regenerative braking that begins when the accelerator is released: no brake
+    lights up to 0.7 m/s^2, with them above 1.3 m/s^2, and the manufacturer decides in between. Here they are on in
+    between. What a vehicle without it loses as it rolls, by drag and the engine, is less than 0.7 m/s^2 in a town.
+    """
+    return accel_mps2 < -BRAKE_LIGHTS_FROM_MPS2 or speed_mps < HELD_BELOW_MPS
 
 
 class Mover(Protocol):
@@ -125,6 +137,7 @@ class Vehicle:
         phase: Offset of its turn to look around, in steps.
     """
 
+    is_vehicle: ClassVar = True
     __slots__ = (
         "_arcs",
         "_gap_m",

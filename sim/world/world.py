@@ -3,10 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 from brink.sim.driving.camera import Solid
 from brink.sim.driving.interface import CONTROL_STEP_S, ObstacleLabel
+from brink.sim.driving.visibility import Screens
+from brink.sim.plane import Rectangle
 from brink.sim.world.ego import EgoCar, EgoMotion, MakeEgo
 from brink.sim.world.pedestrians import PERSON_HEIGHT_M, Phase, Walker, make_people
 from brink.sim.world.road import (
@@ -20,6 +23,7 @@ from brink.sim.world.road import (
     turn_begins_m,
 )
 from brink.sim.world.scenario import DrivingTask, UrbanScenario
+from brink.sim.world.scenery import fixtures
 from brink.sim.world.streams import Stream, generator
 from brink.sim.world.traffic import Surroundings, make_traffic
 from brink.sim.world.vehicle import Mover, Vehicle, VehicleSize
@@ -37,9 +41,15 @@ class RoadUser(Mover, Protocol):
 
 
 class OtherVehicle(RoadUser, Protocol):
-    """A vehicle with its dimensions."""
+    """A vehicle with its dimensions and its acceleration along its heading in the last step, or another body."""
 
     size: VehicleSize
+    accel_mps2: float
+
+    @property
+    def is_vehicle(self) -> bool:
+        """Whether it is a vehicle."""
+        ...
 
 
 class World(Protocol):
@@ -198,6 +208,13 @@ def signal_plan(scenario: UrbanScenario, seed: int) -> SignalPlan:
     offset_s = 0.19 * CYCLE_S * (3 * scenario.road_id + scenario.road_length)
     drift_s = float(generator(seed, Stream.SIGNALS).normal(0.0, 0.6))
     return SignalPlan(phase_s=(offset_s + drift_s) % CYCLE_S)
+
+
+@lru_cache(maxsize=64)
+def screens_of(road: Road) -> Screens:
+    """Return the buildings, parked cars and trees of a road, which hide road users from the camera."""
+    still = fixtures(road)
+    return Screens([Rectangle.of(fixture) for fixture in still], [fixture.height_m for fixture in still])
 
 
 def bodies_of(world: World) -> list[Solid]:

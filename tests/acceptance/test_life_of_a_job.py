@@ -37,18 +37,18 @@ def test_the_life_of_a_job(databases: Databases, tmp_path: Path) -> None:
         jobs = ask("GET", "/jobs", params={"campaign": campaign})["jobs"]
         assert [job["number"] for job in jobs] == list(range(6))
         assert {job["status"] for job in jobs} == {"queued"}
-        assert {job["needs"] for job in jobs} == {"brink-drive@2"}
-        assert running.progress(campaign)["unrunnable"] == {"brink-drive@2": 6}
+        assert {job["needs"] for job in jobs} == {"brink-drive@3"}
+        assert running.progress(campaign)["unrunnable"] == {"brink-drive@3": 6}
 
         # 2. A worker leases jobs with tokens: this one by hand, and it does nothing more.
         identity = {"id": "by-hand", "host": "here", "pid": 1, "version": ""}
         lease = ask(
             "POST",
             "/jobs/lease",
-            json={"worker": identity, "capabilities": ["brink-drive@2"], "max_jobs": 1, "wait_s": 0},
+            json={"worker": identity, "capabilities": ["brink-drive@3"], "max_jobs": 1, "wait_s": 0},
         )
         (held,) = lease["jobs"]
-        assert held["spec"]["simulator"] == "brink-drive@2"
+        assert held["spec"]["simulator"] == "brink-drive@3"
 
         # 3. A real worker runs the others in its child process, renews, and reports in batches.
         running.start_workers(1)

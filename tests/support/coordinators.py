@@ -88,7 +88,7 @@ class Coordinators:
 
     def lease(self) -> Sequence[LeasedJob]:
         """Lease the jobs that are queued, at most as many as one request may lease."""
-        return self.queue.lease(capabilities=(SIMULATOR, "brink-encounter@1"))
+        return self.queue.lease(capabilities=(SIMULATOR, "brink-encounter@2"))
 
     def report(self, jobs: Iterable[LeasedJob]) -> None:
         """Simulate and report the jobs."""

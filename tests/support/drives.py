@@ -31,7 +31,7 @@ def urban_drive(number: int) -> Trace:
         "driving_task": list(DrivingTask)[(number // 2) % 3].value,
     }
     spec = EpisodeSpec(
-        simulator="brink-drive@2",
+        simulator="brink-drive@3",
         scenario=scenario,
         behaviour={"mode": "oracle"},
         requirements=REQUIREMENTS,
@@ -66,7 +66,7 @@ def encounter_drive() -> Trace:
         user("pedestrian", s_m=60.0, d_m=-6.0, heading_rad=1.5708, speed_mps=1.0),
     ]
     spec = EpisodeSpec(
-        simulator="brink-encounter@1",
+        simulator="brink-encounter@2",
         scenario={
             "time_of_day": "sunset",
             "weather": "wet",
@@ -88,7 +88,7 @@ def encounter_drive() -> Trace:
 def street_drive() -> Trace:
     """Return a drive of the emergency brake towards a fallen tree and a person."""
     spec = EpisodeSpec(
-        simulator="brink-aeb@2",
+        simulator="brink-aeb@3",
         scenario={
             "time_of_day": "night",
             "weather": "soft_rain",

@@ -48,6 +48,7 @@ def drive_with(
     *,
     feature: str = "speed_mps",
     violated_at_s: float | None = None,
+    begins_s: float = 0.0,
     scenario: str = "{}",
     spec: EpisodeSpec | None = None,
 ) -> Drive:
@@ -67,7 +68,8 @@ def drive_with(
         behaviour=behaviour,
         seed=seed,
         features=features,
+        begins_s=begins_s,
         violated_at_s={REQUIREMENT: violated_at_s},
         robustness={REQUIREMENT: 1.0 if violated_at_s is None else -1.0},
-        ended_at_s=0.1 * len(values),
+        ended_at_s=begins_s + 0.1 * len(values),
     )

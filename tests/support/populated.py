@@ -101,7 +101,7 @@ def _traced(client: httpx.Client, campaign: str) -> int:
         seen = filmed(Trace.from_bytes(trace)).to_bytes()
         return Completed(verdicts={}, trace=base64.b64encode(seen).decode())
 
-    worker = FakeWorker(client, capabilities=("brink-encounter@1",), judge=with_trace)
+    worker = FakeWorker(client, capabilities=("brink-encounter@2",), judge=with_trace)
     assert worker.report(worker.lease()) == ["accepted"]
     assert client.get(path).status_code == 200
     return number

@@ -71,7 +71,7 @@ def judge(job: LeasedJob) -> Completed | JobFailed:
 
 def finished(client: httpx.Client, document: dict[str, Any]) -> str:
     campaign = submit(client, document)
-    needs = ("brink-drive-errors@1", "brink-drive-camera@2")
+    needs = ("brink-drive-errors@2", "brink-drive-camera@3")
     done = FakeWorker(client, judge=judge, capabilities=needs).work(campaign)
     assert done["status"] == "finished", done["status_reason"]
     return campaign

@@ -48,7 +48,7 @@ def _driven(spec: str, record: bool) -> Completed:
 
 def traffic_worker(client: httpx.Client) -> FakeWorker:
     """Return a worker that simulates traffic."""
-    return FakeWorker(client, capabilities=("brink-encounter@1",), judge=simulate)
+    return FakeWorker(client, capabilities=("brink-encounter@2",), judge=simulate)
 
 
 def seeded(endpoint: Endpoint, llm: dict[str, Any] | None = None, **params: Any) -> dict[str, Any]:

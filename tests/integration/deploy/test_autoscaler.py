@@ -137,5 +137,5 @@ def test_workers_of_both_kinds_complete_a_mixed_queue(databases: Databases, tmp_
             for program in programs:
                 program.signal(signal.SIGTERM)
                 assert program.wait() == 0, program.output
-                assert ("cannot run brink-aeb@2" in program.output) == (name == PLAIN)
+                assert ("cannot run brink-aeb@3" in program.output) == (name == PLAIN)
         assert all((tmp_path / f"{name}-0" / "alive").exists() for name in started)

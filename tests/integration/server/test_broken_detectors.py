@@ -20,7 +20,7 @@ from brink.sim.perception.detector import DETECTORS
 from brink.worker.child import SimulatorHost
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 
-CAMERAS = ("brink-aeb@2", "brink-dataset@2", "brink-drive-camera@2", "brink-encounter-camera@2")
+CAMERAS = ("brink-aeb@3", "brink-dataset@2", "brink-drive-camera@3", "brink-encounter-camera@3")
 OUTCOME: TypeAdapter[Completed | JobFailed] = TypeAdapter(Completed | JobFailed)
 GREY = 114 / 255
 """Mean of the image on which networks are tried when they are loaded."""

@@ -57,7 +57,7 @@ def driven(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive
     url = copied(sqlite_file, tmp_path_factory.mktemp("driven"))
     with coordinator(url) as client:
         campaign = submit(client, CAMPAIGN)
-        worker = FakeWorker(client, capabilities=("brink-drive@2",), judge=simulate)
+        worker = FakeWorker(client, capabilities=("brink-drive@3",), judge=simulate)
         assert worker.work(campaign)["status"] == "finished"
         solution = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/{SOLUTION}"))
     return Driven(database=url, campaign=campaign, solution=solution)

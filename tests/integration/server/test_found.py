@@ -63,7 +63,7 @@ def perturbed(job: LeasedJob) -> Completed:
 
 def test_tolerances_violations_and_combinations_are_counted(client: httpx.Client) -> None:
     tolerances = submit(client, tolerance(simulations=400))
-    FakeWorker(client, capabilities=("brink-drive-errors@1",), judge=judge).work(tolerances)
+    FakeWorker(client, capabilities=("brink-drive-errors@2",), judge=judge).work(tolerances)
     traffic = {
         "name": "traffic",
         "problem": {"id": "npc-actions@1", "params": {"participants": 3, "duration_s": 12.0}},

@@ -62,7 +62,7 @@ def driven(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Drive
     file = shutil.copyfile(sqlite_file, tmp_path_factory.mktemp("driven") / "drives.db")
     with coordinator(f"sqlite:///{file}") as client:
         campaign = submit(client, CAMPAIGN)
-        worker = FakeWorker(client, capabilities=("brink-drive@2",), judge=simulate)
+        worker = FakeWorker(client, capabilities=("brink-drive@3",), judge=simulate)
         assert worker.work(campaign)["status"] == "finished"
         counts = expect(client.get(f"/api/v1/campaigns/{campaign}/outcomes"))["counts"]
         other = submit(client, OTHER)

@@ -74,7 +74,7 @@ def searched(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Sea
     file = shutil.copyfile(sqlite_file, tmp_path_factory.mktemp("searched") / "edge.db")
     with coordinator(f"sqlite:///{file}") as client:
         campaign = submit(client, EDGE)
-        worker = FakeWorker(client, capabilities=("brink-drive@2",), judge=simulate)
+        worker = FakeWorker(client, capabilities=("brink-drive@3",), judge=simulate)
         assert worker.work(campaign)["status"] == "finished"
         repeated = submit(client, {**EDGE, "name": "the same again"})
         assert worker.work(repeated)["status"] == "finished"

@@ -17,7 +17,7 @@ from brink.server.db.models import Base
 from brink.server.findings.kind import all_kinds
 
 Known = dict[str, list[Any]]
-SIMULATORS = ("faulty@1", "brink-drive@2", "brink-encounter@1", "nobody-has-it@1")
+SIMULATORS = ("faulty@1", "brink-drive@3", "brink-encounter@2", "nobody-has-it@1")
 CAMPAIGN = "/api/v1/campaigns/{campaign_id}"
 NO_ANSWER = {
     f"{CAMPAIGN}/pairs/{{safe}}-{{unsafe}}/{{side}}.png",

@@ -766,7 +766,7 @@ def test_a_verdict_that_its_result_does_not_give_is_refused(
     )
     with coordinator(database_url) as client:
         campaign = submit(client, body)
-        worker = FakeWorker(client, capabilities=("brink-drive@2",), judge=_holds_all)
+        worker = FakeWorker(client, capabilities=("brink-drive@3",), judge=_holds_all)
         assert worker.work(campaign)["status"] == "finished"
     assert run("export", campaign, "--out", str(file), "--database", database_url).exit_code == 0
     forged = rewritten(file, {"solutions.jsonl": in_line(lambda row: row.update(changes))})

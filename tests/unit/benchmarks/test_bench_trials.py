@@ -12,7 +12,7 @@ from benchmarks.trials import Record, Records, code_fingerprint
 from brink.sim.episode import EpisodeSpec
 
 SPEC = EpisodeSpec(
-    simulator="brink-aeb@2",
+    simulator="brink-aeb@3",
     scenario={
         "time_of_day": "noon",
         "weather": "clear",

@@ -47,7 +47,7 @@ def test_waiting_names_the_missing_extra_or_plug_in() -> None:
         "waiting: no worker is connected; run the Python program that called brink.search() (function-1a2b@1) again"
     )
     assert worker_for("carla@1") == "a worker with the plug-in that provides carla@1"
-    assert worker_for("brink-drive@2") == "a worker (brink-drive@2)"
+    assert worker_for("brink-drive@3") == "a worker (brink-drive@3)"
     one = Progress.model_validate(stands(**SUMO, workers=2))
     assert waits_words(one) == ["60 jobs wait for a worker with the extra sumo (sumo@1)"]
 

@@ -1,5 +1,6 @@
 """Evaluation of a guard, with figures counted by hand, and the storage of recorded drives."""
 
+from dataclasses import replace
 from pathlib import Path
 from statistics import NormalDist
 from types import SimpleNamespace
@@ -67,6 +68,26 @@ def test_warned_violations_and_false_alarms_are_counted_by_drive() -> None:
     assert (compared.recall, compared.warned) == (0.25, own.point.warned)
     assert compared.false_alarms == pytest.approx(1 / 30)
     assert found.guard.interval[0] < 0.25 < found.guard.interval[1]
+
+
+def test_violations_are_predicted_from_when_boxes_arrived() -> None:
+    later = [
+        replace(
+            one,
+            begins_s=0.3,
+            violated_at_s={name: None if at is None else at + 0.3 for name, at in one.violated_at_s.items()},
+        )
+        for one in safe_and_unsafe()
+    ]
+    found, shifted = (evaluate(stump_guard(), drives) for drives in (safe_and_unsafe(), later))
+    assert shifted.own == found.own
+    assert shifted.predictors == found.predictors
+    assert shifted.horizons == found.horizons
+    first = drive_with(spell(100, (30, 60)), violated_at_s=6.0, begins_s=0.3)
+    own = evaluate(stump_guard(), [first, *safe_and_unsafe()[1:]]).own
+    assert own.median_lead_s == pytest.approx(1.1)
+    alone = evaluate(stump_guard(), [first, first, *safe_and_unsafe()[4:]]).own
+    assert alone.median_lead_s == pytest.approx(2.9 - 0.3)
 
 
 def test_the_threshold_is_set_on_the_probability_that_decides_in_the_car(
@@ -179,15 +200,19 @@ def test_a_series_ends_before_the_first_violation() -> None:
     assert series.features.shape == (21, 4)
     assert series.until_s[[0, -1]] == pytest.approx([2.05, 0.05])
     assert series.violated
+    late = drive_with([1.0] * 50, violated_at_s=2.05, begins_s=0.1).series((REQUIREMENT,), 4)
+    assert len(late.until_s) == 20
+    assert late.until_s[[0, -1]] == pytest.approx([1.95, 0.05])
     held = drive_with([1.0] * 50).series((REQUIREMENT,), 4)
     assert (len(held.until_s), held.violated) == (50, False)
 
 
 def test_stored_drives_are_read_again_and_damaged_files_are_not(tmp_path: Path) -> None:
-    file, given = tmp_path / "drives.npz", safe_and_unsafe()[:5]
+    file, given = tmp_path / "drives.npz", [replace(one, begins_s=0.1) for one in safe_and_unsafe()[:5]]
     save_drives(file, given)
     for old, new in zip(given, load_drives(file) or [], strict=True):
         assert (old.digest, old.scenario, old.ended_at_s) == (new.digest, new.scenario, new.ended_at_s)
+        assert new.begins_s == 0.1
         assert (dict(old.violated_at_s), dict(old.robustness)) == (
             dict(new.violated_at_s),
             dict(new.robustness),

@@ -22,7 +22,7 @@ from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDriveErrors
 
 SPEC = EpisodeSpec(
-    simulator="brink-drive-errors@1",
+    simulator="brink-drive-errors@2",
     scenario={
         "time_of_day": "noon",
         "weather": "clear",

@@ -1,14 +1,17 @@
 """The scene model and the story of an episode: ghosts, braking, gaps; the decisive moment, its lead-up, captions."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 from support.traces import make_trace, ragged
 
 from brink.pictures import ReplayError
+from brink.pictures.camera_view import SketchView
 from brink.pictures.frame import FramePainter
 from brink.pictures.scene import (
     EpisodeScene,
@@ -24,6 +27,7 @@ from brink.pictures.story import measured_words, story_of
 from brink.sim.episode import Json
 from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import PERCEIVED_COLUMNS, VIOLATED_AT_S, Event, Surface, Trace
+from brink.sim.world.vehicle import brake_lights_on
 
 metres = st.floats(-50, 50)
 sides = st.floats(0.5, 10)
@@ -114,16 +118,72 @@ def test_absent_road_user_makes_no_obstacle_real() -> None:
     assert scene.obstacles.ghost.tolist() == [True]
 
 
-def test_brake_lights_are_on_beyond_one_metre_per_second_squared() -> None:
+def test_brake_lights_are_on_when_the_camera_sees_them_on() -> None:
     trace = make_trace(samples=4)
     lead = trace.actors[0].motion.copy()
-    lead[:, 3] = [5.0, 4.95, 4.8, 4.8]
+    lead[:, 3] = [5.0, 4.95, 4.8, 0.0]
     ego = trace.ego.copy()
-    ego[:, 4] = [-0.9, -1.1, 0.0, -3.0]
+    ego[:, 3:] = [(8.0, -0.6), (8.0, -0.8), (8.0, 0.0), (0.0, 0.0)]
     changed = replace(trace, ego=ego, actors=(replace(trace.actors[0], motion=lead),))
     scene = EpisodeScene.of(changed)
     assert scene.ego_brakes.tolist() == [False, True, False, True]
-    assert scene.actors_brake[0].tolist() == [False, False, True, False]
+    assert scene.actors_brake[0].tolist() == [False, False, True, True]
+    assert scene.ego_brakes.tolist() == [brake_lights_on(*row) for row in ego[:, 3:].tolist()]
+
+
+def test_road_users_of_whom_too_little_is_visible_are_hidden() -> None:
+    trace = make_trace(samples=4)
+    shares = np.array([1.0, 0.3, 0.1, np.nan], np.float32)
+    seen = replace(trace, actors=(replace(trace.actors[0], visible=shares), trace.actors[1]))
+    scene = EpisodeScene.of(seen)
+    assert scene.actors_hidden[0].tolist() == [False, False, True, False]
+    assert not scene.actors_hidden[1].any()
+    strict = replace(seen, about={"spec": {"options": {"least_visible": 0.5}}})
+    assert EpisodeScene.of(strict).actors_hidden[0].tolist() == [False, True, True, False]
+
+
+def test_the_pitch_is_zero_unless_the_trace_tells_it() -> None:
+    trace = make_trace(samples=2)
+    assert EpisodeScene.of(trace).pitch_rad.tolist() == [0.0, 0.0]
+    told = replace(trace, pitch_rad=np.array([0.25, np.nan], np.float32))
+    assert EpisodeScene.of(told).pitch_rad.tolist() == [0.25, 0.0]
+
+
+def red_pixels(image: Image.Image, box: tuple[int, int, int, int]) -> int:
+    pixels = np.asarray(image.crop(box)).astype(int)
+    return int(((pixels[..., 0] > 170) & (pixels[..., 1:] < 90).all(axis=2)).sum())
+
+
+def test_a_sketch_shows_brake_lights_and_moves_with_the_pitch() -> None:
+    trace = make_trace(samples=3, lead_stops_at_m=18.0)
+    lead = trace.actors[0].motion.copy()
+    lead[:, :3] = (18.0, -1.75, 0.0)
+    ego = trace.ego.copy()
+    ego[:, :3] = (0.0, -1.75, 0.0)
+    boxes = replace(trace.seen_boxes, first=np.zeros(4, np.int32), rows=trace.seen_boxes.rows[:0])
+    images = {}
+    for name, speed_mps, pitch_rad in (("drives", 5.0, 0.0), ("held", 0.0, 0.0), ("dives", 0.0, -0.02)):
+        motion = lead.copy()
+        motion[:, 3] = speed_mps
+        shown = replace(
+            trace,
+            ego=ego,
+            lights=("", "", ""),
+            actors=(replace(trace.actors[0], motion=motion),),
+            seen_boxes=boxes,
+            given_boxes=boxes,
+            pitch_rad=np.full(3, pitch_rad, np.float32),
+        )
+        images[name] = SketchView(shown, size_px=(800, 600)).draw(1)
+    depth_m = 18.0 - 2.25 - 1.3
+    row, aside = 300 + 400 * 1.0 / depth_m, 400 * 0.36 * 1.85 / depth_m
+    for column in (400 - aside, 400 + aside):
+        around = (round(column) - 4, round(row) - 4, round(column) + 5, round(row) + 5)
+        assert red_pixels(images["drives"], around) == 0
+        assert red_pixels(images["held"], around) > 15
+        up = round(400 * math.tan(0.02))
+        raised = (around[0], around[1] - up, around[2], around[3] - up)
+        assert red_pixels(images["dives"], raised) > 15
 
 
 def test_map_stays_where_the_ego_was_last_known() -> None:

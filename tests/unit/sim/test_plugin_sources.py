@@ -33,7 +33,7 @@ class Toy(FrontGap):
 register(REQUIREMENTS, "toy@1", Toy)
 """
 SPEC = EpisodeSpec(
-    simulator="brink-drive@2", scenario={}, behaviour={}, requirements=("toy@1",), seed=1, duration_s=1.0
+    simulator="brink-drive@3", scenario={}, behaviour={}, requirements=("toy@1",), seed=1, duration_s=1.0
 )
 
 

@@ -4,10 +4,12 @@ import io
 import json
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from support.traces import make_trace
 
 from brink.sim.errors import InvalidEpisode
 from brink.sim.trace import MAX_BYTES, TRACE_VERSION, Trace
@@ -69,3 +71,31 @@ INVALID: Mapping[str, bytes] = {
 def test_bytes_that_are_not_a_trace_are_rejected(document: bytes) -> None:
     with pytest.raises(InvalidEpisode, match="trace"):
         Trace.from_bytes(document)
+
+
+def test_what_the_camera_saw_is_kept_and_optional() -> None:
+    trace = make_trace(samples=3)
+    shares = np.array([1.0, 0.5, np.nan], np.float32)
+    pitch_rad = np.array([0.0, -0.01, 0.02], np.float32)
+    seen = replace(
+        trace, pitch_rad=pitch_rad, actors=(replace(trace.actors[0], visible=shares), *trace.actors[1:])
+    )
+    again, before = (Trace.from_bytes(one.to_bytes()) for one in (seen, trace))
+    assert again.pitch_rad is not None
+    assert np.array_equal(again.pitch_rad, pitch_rad)
+    assert again.actors[0].visible is not None
+    assert np.array_equal(again.actors[0].visible, shares, equal_nan=True)
+    assert again.actors[1].visible is None
+    assert before.pitch_rad is None
+    assert all(actor.visible is None for actor in before.actors)
+
+
+@pytest.mark.parametrize("samples", [2, 4])
+def test_what_the_camera_saw_must_have_an_entry_for_each_sample(samples: int) -> None:
+    trace = make_trace(samples=3)
+    wrong = np.zeros(samples, np.float32)
+    with pytest.raises(InvalidEpisode, match="pitch_rad: expected shape"):
+        Trace.from_bytes(replace(trace, pitch_rad=wrong).to_bytes())
+    actors = (replace(trace.actors[0], visible=wrong), *trace.actors[1:])
+    with pytest.raises(InvalidEpisode, match=r"visible.0: expected shape"):
+        Trace.from_bytes(replace(trace, actors=actors).to_bytes())

@@ -209,7 +209,7 @@ def test_nothing_is_printed_or_left_behind(
         ({"options": {"headway_s": 0.0}}, "options.headway_s"),
         ({"options": {"tau": 1.0}}, "options: unknown field 'tau'"),
         ({"duration_s": 1e9}, "at most 600 seconds"),
-        ({"simulator": "brink-drive@2"}, "expected sumo@1"),
+        ({"simulator": "brink-drive@3"}, "expected sumo@1"),
         ({"requirements": ("front-gap",)}, "did you mean 'front-gap@2'"),
     ],
 )

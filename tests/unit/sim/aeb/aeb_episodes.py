@@ -14,7 +14,7 @@ def spec(seed: int, *, mode: str = "oracle", obstacle: str = "none", **options: 
     """Return an episode with a random scenario."""
     rng = np.random.default_rng(seed)
     return EpisodeSpec(
-        simulator="brink-aeb@2",
+        simulator="brink-aeb@3",
         scenario={
             "time_of_day": str(rng.choice(TIMES)),
             "weather": str(rng.choice(WEATHERS)),

@@ -5,15 +5,50 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from brink.sim.aeb.braking import PERSON, Detection, EmergencyBrake, Region
+from brink.sim.aeb.braking import CRUISE_MPS, EmergencyBrake, Region
+from brink.sim.driving.interface import Box, Command, EgoState, Observation, ObstacleLabel, PlanMode
 
-WARNING = Region.from_reference(730.0, 230.0, 1280, 720)
-SMALL = Region.from_reference(730.0, 230.0, 640, 360)
+WARNING = Region.from_reference(1280, 720, warning=True)
+SMALL = Region.from_reference(640, 360, warning=True)
+DRIVING = Region.in_driving_image(warning=True)
 COLUMN, ROW = st.floats(-50, 700, width=32), st.floats(-50, 360, width=32)
 
 
-def box(x_min: float, y_min: float, x_max: float, y_max: float, label: str = "person") -> Detection:
-    return Detection(label, x_min, y_min, x_max, y_max)
+def box(x_min: float, y_min: float, x_max: float, y_max: float) -> Box:
+    """Return a person's box, in px of an image of any size."""
+    return Box(label=ObstacleLabel.PERSON, x_min_px=x_min, x_max_px=x_max, y_min_px=y_min, y_max_px=y_max)
+
+
+def scaled(candidate: Box, by: float, down_px: float = 0.0) -> Box:
+    return Box(
+        label=candidate.label,
+        x_min_px=by * candidate.x_min_px,
+        x_max_px=by * candidate.x_max_px,
+        y_min_px=by * candidate.y_min_px + down_px,
+        y_max_px=by * candidate.y_max_px + down_px,
+    )
+
+
+def seen(candidate: Box, label: ObstacleLabel = ObstacleLabel.PERSON) -> Box:
+    """Return a box of an image of 1280 x 720 as the brake receives it."""
+    return scaled(candidate, 0.625, 75.0)._replace(label=label)
+
+
+def command(brake: EmergencyBrake, time_s: float, boxes: list[Box], speed_mps: float = CRUISE_MPS) -> Command:
+    ego = EgoState(
+        x_m=0.0, y_m=0.0, yaw_rad=0.0, speed_mps=speed_mps, accel_mps2=0.0, station_m=0.0, offset_m=0.0
+    )
+    return brake.step(Observation(time_s=time_s, ego=ego, boxes=tuple(boxes), light=None))
+
+
+def brakes(brake: EmergencyBrake, time_s: float, boxes: list[Box]) -> bool:
+    """Return whether the brake brakes after a frame."""
+    result = command(brake, time_s, boxes)
+    assert result.emergency is (result.accel_mps2 < -9.0) is (brake.plan.mode is PlanMode.STOP)
+    return result.emergency
+
+
+PERSON, VEHICLE = seen(box(600, 300, 680, 600)), ObstacleLabel.VEHICLE
 
 
 @pytest.mark.parametrize(
@@ -29,28 +64,29 @@ def box(x_min: float, y_min: float, x_max: float, y_max: float, label: str = "pe
         (box(600, 700, 610, 900), True),  # extends below the picture
     ],
 )
-def test_a_box_is_tested_against_the_trapezoid_not_its_bounds(candidate: Detection, meets: bool) -> None:
+def test_a_box_is_tested_against_the_trapezoid_not_its_bounds(candidate: Box, meets: bool) -> None:
     assert WARNING.intersects(candidate) is meets
 
 
 def test_regions_scale_with_the_picture() -> None:
     for candidate in (box(280, 480, 500, 500), box(280, 480, 500, 719), box(1004, 500, 1200, 720)):
-        half = Detection(candidate.label, *(0.5 * value for value in candidate[1:5]))
-        assert SMALL.intersects(half) is WARNING.intersects(candidate)
+        meets = WARNING.intersects(candidate)
+        assert SMALL.intersects(scaled(candidate, 0.5)) is meets
+        assert DRIVING.intersects(seen(candidate)) is meets
 
 
 def test_only_a_vehicle_in_the_lane_triggers_the_brake() -> None:
-    brake = EmergencyBrake.for_picture(640, 360)
-    beside, ahead = box(438, 150, 640, 360, "vehicle"), box(260, 200, 380, 300, "vehicle")
-    farther = box(260, 180, 380, 230, "vehicle")
-    assert not any(brake.decide(0.05 * frame, [beside, farther]) for frame in range(20))
-    assert [brake.decide(1.0 + 0.05 * frame, [ahead]) for frame in range(4)] == [False, False, True, True]
+    brake = EmergencyBrake()
+    beside, ahead = seen(box(876, 300, 1280, 720), VEHICLE), seen(box(520, 400, 760, 600), VEHICLE)
+    farther = seen(box(520, 360, 760, 460), VEHICLE)
+    assert not any(brakes(brake, 0.05 * frame, [beside, farther]) for frame in range(20))
+    assert [brakes(brake, 1.0 + 0.05 * frame, [ahead]) for frame in range(4)] == [False, False, True, True]
 
 
 def test_a_flickering_vehicle_does_not_trigger_the_brake() -> None:
-    brake = EmergencyBrake.for_picture(640, 360)
-    ahead = [box(260, 200, 380, 300, "vehicle")]
-    assert not any(brake.decide(0.05 * frame, ahead if frame % 3 else []) for frame in range(30))
+    brake = EmergencyBrake()
+    ahead = [seen(box(520, 400, 760, 600), VEHICLE)]
+    assert not any(brakes(brake, 0.05 * frame, ahead if frame % 3 else []) for frame in range(30))
 
 
 @pytest.mark.parametrize(
@@ -67,37 +103,82 @@ def test_a_flickering_vehicle_does_not_trigger_the_brake() -> None:
 def test_a_person_is_confirmed_in_some_of_three_frames(
     person_frames: int, reported: str, braking: str
 ) -> None:
-    brake = EmergencyBrake.for_picture(1280, 720, person_frames=person_frames)
-    person = box(600, 300, 680, 600)
+    brake = EmergencyBrake(person_frames=person_frames)
     found = [
-        brake.decide(0.05 * frame, [person] if flag == "1" else []) for frame, flag in enumerate(reported)
+        brakes(brake, 0.05 * frame, [PERSON] if flag == "1" else []) for frame, flag in enumerate(reported)
     ]
     assert "".join("1" if flag else "0" for flag in found) == braking
 
 
 def test_the_latch_holds_and_releases() -> None:
-    brake = EmergencyBrake.for_picture(1280, 720, hold_s=0.5, person_frames=1)
-    person = [box(600, 300, 680, 600)]
-    assert not brake.decide(0.0, [])
-    assert brake.decide(0.05, person)
-    assert all(brake.decide(0.05 * frame, []) for frame in range(2, 11))
-    assert not brake.decide(0.55, [])
-    assert brake.decide(0.60, person)
+    brake = EmergencyBrake(hold_s=0.5, person_frames=1)
+    person = [PERSON]
+    assert not brakes(brake, 0.0, [])
+    assert brakes(brake, 0.05, person)
+    assert all(brakes(brake, 0.05 * frame, []) for frame in range(2, 11))
+    assert not brakes(brake, 0.55, [])
+    assert brakes(brake, 0.60, person)
 
 
 @pytest.mark.parametrize("first", range(0, 300, 7))
 def test_a_hold_has_the_same_number_of_frames_whenever_it_begins(first: int) -> None:
-    brake = EmergencyBrake.for_picture(1280, 720, hold_s=0.5, person_frames=1)
-    assert brake.decide(first * 0.05, [box(600, 300, 680, 600)])
-    assert sum(brake.decide((first + later) * 0.05, []) for later in range(1, 30)) == 9
+    brake = EmergencyBrake(hold_s=0.5, person_frames=1)
+    assert brakes(brake, first * 0.05, [PERSON])
+    assert sum(brakes(brake, (first + later) * 0.05, []) for later in range(1, 30)) == 9
 
 
 @settings(deadline=None)
 @given(COLUMN, COLUMN, ROW, ROW)
 def test_a_box_intersects_the_region_if_any_of_its_rows_does(a: float, b: float, c: float, d: float) -> None:
-    box = Detection(PERSON, min(a, b), min(c, d), max(a, b), max(c, d))
-    rows = np.linspace(box.y_min_px, min(box.y_max_px, 360.0), 400)
+    candidate = box(min(a, b), min(c, d), max(a, b), max(c, d))
+    rows = np.linspace(candidate.y_min_px, min(candidate.y_max_px, 360.0), 400)
     inside = rows[rows >= 235.0]
     half = 0.5 * (115.0 + (inside - 235.0) / 125.0 * 250.0)
-    touches = bool(np.any((box.x_min_px <= 320 + half) & (box.x_max_px >= 320 - half)))
-    assert SMALL.intersects(box) is touches
+    touches = bool(np.any((candidate.x_min_px <= 320 + half) & (candidate.x_max_px >= 320 - half)))
+    assert SMALL.intersects(candidate) is touches
+
+
+def test_a_disabled_brake_cruises_whatever_it_sees() -> None:
+    brake = EmergencyBrake(enabled=False)
+    assert not any(brakes(brake, 0.05 * frame, [PERSON]) for frame in range(20))
+    assert command(brake, 1.0, [], speed_mps=0.0).accel_mps2 == 2.5
+    assert command(brake, 1.05, [], speed_mps=20.0).accel_mps2 == -3.0
+
+
+def test_between_images_the_brake_holds_and_counts_nothing() -> None:
+    brake = EmergencyBrake(hold_s=0.2)
+    ego = EgoState(x_m=0.0, y_m=0.0, yaw_rad=0.0, speed_mps=8.0, accel_mps2=0.0, station_m=0.0, offset_m=0.0)
+    assert not brakes(brake, 0.1, [PERSON])
+    waiting = Observation(time_s=0.15, ego=ego, boxes=None, light=None)
+    assert not brake.step(waiting).emergency
+    late = Observation(time_s=0.2, ego=ego, boxes=(PERSON,), light=None, seen_s=0.1)
+    assert brake.step(late).emergency
+    assert [brake.step(waiting._replace(time_s=t)).emergency for t in (0.25, 0.35, 0.4)] == [
+        True,
+        True,
+        False,
+    ]
+    assert (brake.person_seen_s, brake.braked_at_s) == (0.1, 0.2)
+
+
+def test_a_person_on_the_way_into_the_region_counts_where_they_are_by_now() -> None:
+    """At 40 px a frame, a person 60 px beside the region in an image of two frames ago is in it now."""
+    ego = EgoState(x_m=0.0, y_m=0.0, yaw_rad=0.0, speed_mps=8.0, accel_mps2=0.0, station_m=0.0, offset_m=0.0)
+    for step_px, triggers in ((40.0, True), (-40.0, False), (0.0, False)):
+        brake = EmergencyBrake()
+        for frame in range(2):
+            right_px = 435.0 + step_px * (frame - 1)  # the region begins at 495 px in row 500
+            walks = seen(box(right_px - 60.0, 400, right_px, 500))
+            observation = Observation(
+                time_s=0.1 + 0.05 * frame, ego=ego, boxes=(walks,), light=None, seen_s=0.05 * frame
+            )
+            command = brake.step(observation)
+        assert command.emergency is triggers
+
+
+def test_two_persons_in_different_places_do_not_confirm_each_other() -> None:
+    brake = EmergencyBrake()
+    elsewhere = seen(box(100, 300, 180, 600))
+    assert not brakes(brake, 0.0, [elsewhere])
+    assert not brakes(brake, 0.05, [PERSON])
+    assert brakes(brake, 0.1, [elsewhere, PERSON])

@@ -21,9 +21,8 @@ from benchmarks.training.images import render_frames
 from brink.sim import catalogue
 from brink.sim.aeb import dataset
 from brink.sim.aeb.dataset import DatasetEvaluator, Split, labelled_frames
-from brink.sim.aeb.recorder import MAX_PICTURE_BYTES, _FilmRecorder
+from brink.sim.aeb.film import MAX_PICTURE_BYTES, CameraShot, FilmRecorder
 from brink.sim.aeb.scores import rescore
-from brink.sim.aeb.sight import CameraShot
 from brink.sim.aeb.simulator import BrinkAeb
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
@@ -247,7 +246,7 @@ def test_alpha_is_one_for_truth_and_zero_for_nothing(monkeypatch: pytest.MonkeyP
         ({"behaviour": {"detector": "unknown@1"}}, "detector: expected one of"),
         ({"behaviour": {"perturbations": [{"gene": "snwo", "level": 1}]}}, "snow"),
         ({"behaviour": {"perturbations": [{"gene": "snow", "level": 9}]}}, "behaviour.perturbations"),
-        ({"simulator": "brink-aeb@2"}, "simulator: expected brink-dataset@2, got"),
+        ({"simulator": "brink-aeb@3"}, "simulator: expected brink-dataset@2, got"),
     ],
 )
 def test_an_invalid_evaluation_is_refused(known: Known, changes: dict[str, Any], message: str) -> None:
@@ -324,7 +323,7 @@ def trace() -> Trace:
 
 @pytest.mark.parametrize(("noise", "every"), [(0, 2), (255, 8)])
 def test_a_film_that_would_be_too_large_has_fewer_images_a_second(noise: int, every: int) -> None:
-    film = _FilmRecorder()
+    film = FilmRecorder()
     grains = np.random.default_rng(1).integers(0, noise + 1, (360, 640, 3), dtype=np.uint8)
     truth = GroundTruth(labels=NOTHING.labels, boxes=NOTHING.boxes, ignored=np.zeros(0, np.bool_))
     for sample in range(400):

@@ -7,7 +7,8 @@ import pytest
 
 from brink.sim.aeb import dataset
 from brink.sim.aeb.dataset import Split, labelled_frames
-from brink.sim.aeb.labels import MIN_VISIBLE, PERSON, VEHICLE, label_boxes, label_frame
+from brink.sim.aeb.labels import PERSON, VEHICLE, label_boxes, label_frame
+from brink.sim.driving.camera import LEAST_VISIBLE
 from brink.sim.perception.boxes import GroundTruth, LabelledFrame, too_small
 from brink.sim.rendering import (
     Body,
@@ -71,7 +72,7 @@ def test_a_box_covers_only_what_is_visible_of_a_body() -> None:
 def test_an_almost_hidden_body_is_ignored(aside_m: float, ignored: bool) -> None:
     labelled = label(car(1, 10.0, 0.0), person(2, 16.0, aside_m))
     assert bool(labelled.truth.ignored[1]) is ignored
-    assert bool(labelled.visible[1] < MIN_VISIBLE) is ignored
+    assert bool(labelled.visible[1] < LEAST_VISIBLE) is ignored
 
 
 @pytest.mark.parametrize("width_px", [320, 640, 1280])

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from brink.sim.aeb.braking import EmergencyBrake
+from brink.sim.aeb.braking import Region
 from brink.sim.aeb.scores import decision_accuracy, score_episode
 from brink.sim.perception.boxes import Detections, GroundTruth
 
-WARNING = EmergencyBrake.for_picture(640, 360).warning
+WARNING = Region.from_reference(640, 360, warning=True)
 AHEAD, ASIDE = (300.0, 150.0, 340.0, 320.0), (20.0, 150.0, 60.0, 320.0)
 VEHICLE, PERSON = 0, 1
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import (
     Box,
+    Crossing,
     EgoState,
     LightReading,
     LightState,
@@ -25,7 +26,11 @@ CONTROL_S = 0.05
 
 
 def road(
-    *pieces: Piece, lane_width_m: float = 3.5, stop_lines_m: tuple[float, ...] = (), oncoming: bool = True
+    *pieces: Piece,
+    lane_width_m: float = 3.5,
+    stop_lines_m: tuple[float, ...] = (),
+    oncoming: bool = True,
+    crossings: tuple[Crossing, ...] = (),
 ) -> LaneRoute:
     """Return a route from the origin to the east, by default 300 m straight."""
     line = ReferenceLine(0.0, 0.0, 0.0, pieces or (Piece(300.0),))
@@ -35,6 +40,7 @@ def road(
         speed_limit_mps=50 / 3.6,
         stop_line_stations_m=stop_lines_m,
         oncoming=((-50.0, line.length_m + 50.0),) if oncoming else (),
+        crossings=crossings,
     )
 
 

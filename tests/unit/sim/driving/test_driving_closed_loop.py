@@ -8,7 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from brink.sim.driving.camera import Camera, Solid
-from brink.sim.driving.interface import Box, EgoState, LightState, Observation, ObstacleLabel, PlanMode
+from brink.sim.driving.interface import (
+    Box,
+    Crossing,
+    EgoState,
+    LightState,
+    Observation,
+    ObstacleLabel,
+    PlanMode,
+)
 from brink.sim.driving.system import ModularDriving
 from brink.sim.world.line import Piece
 
@@ -149,6 +157,49 @@ def test_stops_at_the_line_on_red_and_continues_on_green() -> None:
     assert 88.0 < max(waiting) < 90.0
     assert done.station_m[-1] > 120.0
     assert min(done.accel_mps2) > -3.0
+
+
+ZEBRA = Crossing(from_m=60.0, to_m=64.0, right_kerb_m=-1.75, left_kerb_m=5.25)
+
+
+@pytest.mark.parametrize(
+    ("offset_m", "across_mps", "yields"),
+    [
+        (0.0, 0.0, True),
+        (-2.4, 0.0, True),
+        (3.2, 0.0, True),
+        (6.4, -0.6, True),
+        (1.8, 0.4, False),
+        (5.9, 0.0, False),
+    ],
+    ids=[
+        "in the lane",
+        "at the kerb",
+        "beside the lane",
+        "on the way to the lane",
+        "leaves",
+        "on the other side",
+    ],
+)
+def test_gives_way_at_a_zebra_to_persons_in_or_near_its_way_and_to_no_others(
+    offset_m: float, across_mps: float, yields: bool
+) -> None:
+    stands_m = 3.2
+    stays_s = math.inf if across_mps >= 0.0 else (offset_m - stands_m) / -across_mps
+    on_foot = person(lambda t: (62.0, offset_m + across_mps * min(t, stays_s)))
+    done = drive(road(crossings=(ZEBRA,)), [on_foot], duration_s=12.0)
+    fronts_m = [station_m + 2.25 for station_m in done.station_m]
+    if yields:
+        assert min(done.speed_mps) < 0.1
+        assert ZEBRA.from_m - 4.0 < max(fronts_m) < ZEBRA.from_m
+    else:
+        assert min(done.speed_mps) > 6.0
+        assert max(fronts_m) > ZEBRA.to_m
+
+
+def test_passes_a_person_beside_its_lane_where_there_is_no_zebra() -> None:
+    done = drive(road(), [person(lambda _: (62.0, 3.2))], duration_s=12.0)
+    assert min(done.speed_mps) > 6.0
 
 
 def test_stops_for_a_crossing_person_and_then_continues() -> None:

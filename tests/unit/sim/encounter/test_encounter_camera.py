@@ -10,15 +10,17 @@ from test_encounter_simulator import BRAKES, KEEPS, spec, stretch, user
 
 from brink.server.problems.npc_actions import NpcActionsParams
 from brink.sim.driving.camera import Camera
-from brink.sim.encounter.camera import BrinkEncounterCamera, EncounterCamera
+from brink.sim.encounter.camera import BrinkEncounterCamera
 from brink.sim.encounter.simulator import BrinkEncounter
 from brink.sim.encounter.specification import EncounterScenario
 from brink.sim.encounter.world import make_encounter
 from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.detector import find_detector
-from brink.sim.rendering.street import plain_street
+from brink.sim.rendering.scene import Light
+from brink.sim.rendering.street import street_from_road
 from brink.sim.trace import Trace
+from brink.sim.urban.camera import RoadCamera
 from brink.sim.world.road import build_road
 from brink.sim.world.scenario import RoadCurve
 
@@ -27,7 +29,18 @@ DETECTOR: JsonObject = {"mode": "detector", "detector": "brink-det@2", "threshol
 
 def seen(*users: JsonObject, duration_s: float = 4.0) -> EpisodeSpec:
     told = spec(*users, duration_s=duration_s)
-    return replace(told, simulator="brink-encounter-camera@2", behaviour=DETECTOR)
+    return replace(told, simulator="brink-encounter-camera@3", behaviour=DETECTOR)
+
+
+def eyes_of(scenario: EncounterScenario, seed: int) -> RoadCamera:
+    return RoadCamera(
+        make_encounter(scenario, seed),
+        Light(time_of_day=scenario.place.time_of_day, weather=scenario.place.weather),
+        seed=seed,
+        detector=find_detector("brink-det@2"),
+        threshold=0.5,
+        camera=Camera(),
+    )
 
 
 def test_the_ego_stops_for_detected_road_users() -> None:
@@ -54,11 +67,7 @@ def test_boxes_are_converted_to_the_driving_systems_image() -> None:
     ahead = user("car", {**KEEPS, "s_m": 15.0})
     person = user("pedestrian", {**KEEPS, "s_m": 14.0, "d_m": -3.0})
     scenario = EncounterScenario.from_json(spec(ahead, person).scenario)
-    world = make_encounter(scenario, 3)
-    camera = Camera()
-    eyes = EncounterCamera(
-        world, scenario.place, seed=3, detector=find_detector("brink-det@2"), threshold=0.5, camera=camera
-    )
+    eyes = eyes_of(scenario, seed=3)
     found = [(box.label.value, 0.5 * (box.x_min_px + box.x_max_px), box) for box in eyes.boxes(0.0)]
     # The car's rear is at 15 - 2.2 - 1.3 = 11.5 m: 1.7 m below and 1.8 m wide at a focal length of 400 px.
     (car,) = [box for label, middle, box in found if label == "vehicle" and abs(middle - 400) < 10]
@@ -71,20 +80,13 @@ def test_boxes_are_converted_to_the_driving_systems_image() -> None:
 @pytest.mark.parametrize("curve", list(RoadCurve))
 @pytest.mark.parametrize("road_id", mostly_long([0, 1, 2], [1], "draws many pictures"))
 def test_every_road_can_be_rendered(curve: RoadCurve, road_id: int) -> None:
-    scene = plain_street(build_road(curve, road_id, 0))
+    scene = street_from_road(build_road(curve, road_id, 0))
     assert scene.buildings
     assert scene.parked or scene.trees
     assert all(np.isfinite(ground.points).all() for ground in scene.ground)
     place: dict[str, Json] = {"road_curve": curve.value, "road_id": road_id, "road_length": 0}
     scenario = EncounterScenario.from_json({**spec().scenario, **place})
-    eyes = EncounterCamera(
-        make_encounter(scenario, 1),
-        scenario.place,
-        seed=1,
-        detector=find_detector("brink-det@2"),
-        threshold=0.5,
-        camera=Camera(),
-    )
+    eyes = eyes_of(scenario, seed=1)
     assert all(math.isfinite(number) for box in eyes.boxes(0.0) for number in box[1:])
 
 
@@ -105,9 +107,9 @@ def test_an_invalid_specification_is_refused(changes: JsonObject, message: str) 
 
 
 def test_each_simulator_runs_only_its_own_episodes() -> None:
-    with pytest.raises(InvalidEpisode, match="simulator: expected brink-encounter@1, got"):
+    with pytest.raises(InvalidEpisode, match="simulator: expected brink-encounter@2, got"):
         BrinkEncounter().run(seen())
-    with pytest.raises(InvalidEpisode, match="simulator: expected brink-encounter-camera@2, got"):
+    with pytest.raises(InvalidEpisode, match="simulator: expected brink-encounter-camera@3, got"):
         BrinkEncounterCamera().run(spec())
 
 

@@ -47,7 +47,7 @@ def user(kind: str, *stretches: JsonObject) -> JsonObject:
 def spec(*users: JsonObject, seed: int = 3, duration_s: float = 25.0, **place: Json) -> EpisodeSpec:
     everybody: list[Json] = list(users)
     return EpisodeSpec(
-        simulator="brink-encounter@1",
+        simulator="brink-encounter@2",
         scenario={**PLACE, **place, "road_users": everybody},
         behaviour={"mode": "oracle"},
         requirements=ORACLES,
@@ -160,6 +160,30 @@ def test_only_the_first_violation_of_a_requirement_is_reported(simulator: BrinkE
         assert number(violation["time_s"]) == pytest.approx(verdict.violated_at_s)
 
 
+def test_latency_pitch_and_the_least_visible_share_are_options(simulator: BrinkEncounter) -> None:
+    behind_van = user("pedestrian", stretch("keep", 0.0, 30.0, s_m=24.0, d_m=-0.3, speed_mps=0.0))
+    van = user("van", stretch("keep", 0.0, 30.0, s_m=18.0, speed_mps=0.0))
+
+    def drive(**options: Json) -> Trace:
+        trace = simulator.run(replace(spec(van, behind_van), options=options), record=True).trace
+        assert trace is not None
+        return Trace.from_bytes(trace)
+
+    usual = drive()
+    assert usual.pitch_rad is not None
+    assert np.abs(usual.pitch_rad).max() > 0.001
+    level = drive(pitch=False).pitch_rad
+    assert level is not None
+    assert not level.any()
+
+    def brakes_at_s(trace: Trace) -> float:
+        return float(trace.time_s[trace.ego[:, 4] < -1.0][0])
+
+    assert brakes_at_s(drive(latency_s=0.6)) == pytest.approx(brakes_at_s(usual) + 0.5, abs=0.11)
+    seen = [len(drive(least_visible=share).seen_boxes.at(0)) for share in (0.0, 0.25)]
+    assert seen == [2, 1]
+
+
 KEEPS = stretch("keep", 0.0, 5.0)
 
 
@@ -183,9 +207,13 @@ KEEPS = stretch("keep", 0.0, 5.0)
         ({"behaviour": {"mode": "detector"}}, "behaviour.mode: expected oracle"),
         ({"behaviour": {"mode": "oracle", "threshold": 0.5}}, "unknown field 'threshold'"),
         ({"options": {"reference": 1}}, "options.reference: expected true or false"),
-        ({"options": {"fidelity": "wheels"}}, "options: expected reference or none"),
+        (
+            {"options": {"fidelity": "wheels"}},
+            "options: unknown field 'fidelity'; expected reference, latency_s, pitch, least_visible",
+        ),
+        ({"options": {"latency_s": 2.0}}, r"options.latency_s: expected a number in \[0, 1\]"),
         ({"duration_s": 500.0}, "at most 120"),
-        ({"simulator": "brink-drive@2"}, "simulator: expected brink-encounter@1, got"),
+        ({"simulator": "brink-drive@3"}, "simulator: expected brink-encounter@2, got"),
     ],
 )
 def test_an_invalid_specification_is_refused(

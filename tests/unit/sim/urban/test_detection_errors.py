@@ -13,7 +13,7 @@ from support.marks import mostly_long
 from brink.server.problems.urban_injected import UrbanInjected, UrbanInjectedParams
 from brink.sim.catalogue import requirement_ids
 from brink.sim.driving.camera import Camera, Solid
-from brink.sim.driving.interface import ObstacleLabel
+from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
 from brink.sim.errors import InvalidEpisode
 from brink.sim.trace import FloatArray, Trace
@@ -42,7 +42,7 @@ SCENARIO: JsonObject = {
     "driving_task": "follow_road",
 }
 STRAIGHT = EpisodeSpec(
-    simulator="brink-drive-errors@1",
+    simulator="brink-drive-errors@2",
     scenario=SCENARIO,
     behaviour={"mode": "errors", "errors": []},
     requirements=("front-gap@1", "no-collision@1"),
@@ -50,10 +50,14 @@ STRAIGHT = EpisodeSpec(
     duration_s=DURATION_S,
 )
 """The lead, two oncoming cars and 18 pedestrians on a straight road, where y is the distance to its middle."""
-RAIN = replace(STRAIGHT, scenario={**SCENARIO, "weather": "hard_rain"}, seed=2)
+LEVEL = replace(STRAIGHT, options={"pitch": False})
+"""The same with a camera that stays level, in which errors act."""
+RAIN = replace(STRAIGHT, scenario={**SCENARIO, "weather": "hard_rain"}, seed=29)
 """As before, but two pedestrians step onto the road ahead."""
 CROSSROAD = replace(STRAIGHT, scenario={**SCENARIO, "road_curve": "crossroad"})
 LABEL, X_MIN, X_MAX, Y_MIN, Y_MAX = range(5)
+KERB_M = 3.5
+"""Distance of the kerbs from the middle of the road."""
 BEGINS, ENDS = 10, 30
 """The steps at which most windows here begin and end."""
 
@@ -75,13 +79,12 @@ class Drive(NamedTuple):
     def given(self, step: int) -> FloatArray:
         return self.trace.given_boxes.at(step)
 
-    @property
-    def changed(self) -> list[int]:
-        """The steps at which the reported boxes are not the true ones."""
-        return [step for step in self.steps if not np.array_equal(self.seen(step), self.given(step))]
+    def pitch_rad(self, step: int) -> float:
+        assert self.trace.pitch_rad is not None
+        return float(self.trace.pitch_rad[step])
 
-    def names(self, step: int) -> list[str]:
-        """Return the road users whose boxes are visible at a step, identified by their positions."""
+    def level_boxes(self, step: int) -> dict[str, Box]:
+        """Return the boxes of all road users in the image of a level camera, hidden or not, by name."""
         x_m, y_m, yaw_rad = map(float, self.trace.ego[step, :3])
         boxes = {}
         for actor in self.trace.actors:
@@ -89,10 +92,25 @@ class Drive(NamedTuple):
             height_m = PERSON_HEIGHT_M if person else (VAN if actor.length_m > CAR.length_m else CAR).height_m
             label = ObstacleLabel.PERSON if person else ObstacleLabel.VEHICLE
             x, y, yaw = map(float, actor.motion[step, :3])
-            body = Solid(label, x, y, yaw, actor.length_m, actor.width_m, height_m)
-            found = CAMERA.project(x_m, y_m, yaw_rad, body)
+            found = CAMERA.project(
+                x_m, y_m, yaw_rad, Solid(label, x, y, yaw, actor.length_m, actor.width_m, height_m)
+            )
             if found is not None:
-                boxes[actor.name] = np.array([float(person), *found[0][1:]])
+                boxes[actor.name] = found[0]
+        return boxes
+
+    @property
+    def changed(self) -> list[int]:
+        """The steps at which the reported boxes are not the true ones."""
+        return [step for step in self.steps if not np.array_equal(self.seen(step), self.given(step))]
+
+    def names(self, step: int) -> list[str]:
+        """Return the road users whose boxes are visible at a step, identified by their positions."""
+        boxes = {}
+        for name, level in self.level_boxes(step).items():
+            box = CAMERA.tilted(level, self.pitch_rad(step))
+            if box is not None:
+                boxes[name] = np.array([float(box.label is ObstacleLabel.PERSON), *box[1:]])
         names = []
         for row in self.seen(step):
             away = {name: float(np.abs(box - row).max()) for name, box in boxes.items()}
@@ -127,7 +145,7 @@ def error(kind: str, magnitude: float, target: str = "lead", **window: Json) -> 
 
 
 def with_errors(spec: EpisodeSpec, *errors: JsonObject) -> EpisodeSpec:
-    return replace(spec, simulator="brink-drive-errors@1", behaviour={"mode": "errors", "errors": [*errors]})
+    return replace(spec, simulator="brink-drive-errors@2", behaviour={"mode": "errors", "errors": [*errors]})
 
 
 @pytest.fixture(name="simulator", scope="module")
@@ -265,21 +283,22 @@ def test_a_window_between_two_steps_begins_at_the_later_one(drive: Callable[...,
 
 
 @pytest.mark.parametrize(
-    ("target", "spec", "names"),
+    ("target", "spec", "begins", "names"),
     [
-        ("oncoming", STRAIGHT, {"oncoming-1", "oncoming-2"}),
-        ("crossing", CROSSROAD, {"crossing-1", "crossing-2"}),
+        ("oncoming", STRAIGHT, BEGINS, {"oncoming-1", "oncoming-2"}),
+        # Buildings hide the crossing cars at first.
+        ("crossing", CROSSROAD, 25, {"crossing-1", "crossing-2"}),
     ],
     ids=["oncoming", "crossing"],
 )
 def test_a_group_is_missed_as_a_whole(
-    drive: Callable[..., Drive], target: str, spec: EpisodeSpec, names: set[str]
+    drive: Callable[..., Drive], target: str, spec: EpisodeSpec, begins: int, names: set[str]
 ) -> None:
-    found = drive(error("miss", 2.0, target), spec=spec)
+    found = drive(error("miss", 2.0, target, onset_s=0.1 * begins), spec=spec)
     hidden = set()
 
     def is_hidden(step: int, name: str, row: FloatArray) -> bool:
-        if step not in range(BEGINS, ENDS) or found.kind(name, step) != target:
+        if step not in range(begins, begins + 20) or found.kind(name, step) != target:
             return False
         hidden.add(name)
         return True
@@ -317,7 +336,7 @@ def test_flicker_hides_the_share_of_each_period(drive: Callable[..., Drive], sha
 def test_the_bottom_edge_is_at_the_wrong_distance_and_nothing_else_changes(
     drive: Callable[..., Drive], kind: str, share: float, factor: float
 ) -> None:
-    for true, reported in edited(drive(error(kind, share)), is_lead):
+    for true, reported in edited(drive(error(kind, share), spec=LEVEL), is_lead):
         assert depth_m(reported) == pytest.approx(factor * depth_m(true), rel=1e-4)
         assert np.array_equal(reported[:Y_MAX], true[:Y_MAX])
 
@@ -326,7 +345,7 @@ def test_the_bottom_edge_is_at_the_wrong_distance_and_nothing_else_changes(
 def test_a_box_is_moved_aside_by_metres_at_its_distance(
     drive: Callable[..., Drive], kind: str, left_m: float
 ) -> None:
-    for true, reported in edited(drive(error(kind, abs(left_m))), is_lead):
+    for true, reported in edited(drive(error(kind, abs(left_m)), spec=LEVEL), is_lead):
         for edge in (X_MIN, X_MAX):
             was_m, is_m = (CAMERA.left_m(float(row[edge]), depth_m(true)) for row in (true, reported))
             assert is_m - was_m == pytest.approx(left_m, abs=1e-3)
@@ -334,7 +353,7 @@ def test_a_box_is_moved_aside_by_metres_at_its_distance(
 
 
 def test_what_is_moved_out_of_the_image_is_not_reported(drive: Callable[..., Drive]) -> None:
-    found = drive(error("right", 4.0, "everybody"))
+    found = drive(error("right", 4.0, "everybody"), spec=LEVEL)
     gone = 0
     for step in range(BEGINS, ENDS):
         seen, given = found.seen(step), found.given(step)
@@ -353,13 +372,64 @@ def test_what_is_moved_out_of_the_image_is_not_reported(drive: Callable[..., Dri
 def test_a_box_is_scaled_about_its_centre(
     drive: Callable[..., Drive], kind: str, share: float, factor: float
 ) -> None:
-    for true, reported in edited(drive(error(kind, share)), is_lead):
+    for true, reported in edited(drive(error(kind, share), spec=LEVEL), is_lead):
         assert reported[LABEL] == true[LABEL]
         for low, high in ((X_MIN, X_MAX), (Y_MIN, Y_MAX)):
             assert reported[low] + reported[high] == pytest.approx(true[low] + true[high], abs=1e-3)
             assert reported[high] - reported[low] == pytest.approx(
                 factor * (true[high] - true[low]), abs=1e-3
             )
+
+
+@pytest.mark.parametrize(
+    ("kind", "magnitude"),
+    [
+        ("too_far", 0.5),
+        ("too_near", 0.5),
+        ("left", 1.0),
+        ("right", 1.0),
+        ("too_large", 0.3),
+        ("too_small", 0.3),
+    ],
+)
+def test_errors_act_in_a_level_camera_and_their_boxes_pitch_with_the_car(
+    drive: Callable[..., Drive], kind: str, magnitude: float
+) -> None:
+    edits: dict[str, Callable[[Box], Box]] = {
+        "too_far": lambda box: at_distance(box, 1.0 + magnitude),
+        "too_near": lambda box: at_distance(box, 1.0 - magnitude),
+        "left": lambda box: moved_left(box, magnitude),
+        "right": lambda box: moved_left(box, -magnitude),
+        "too_large": lambda box: scaled(box, 1.0 + magnitude),
+        "too_small": lambda box: scaled(box, 1.0 - magnitude),
+    }
+    found = drive(error(kind, magnitude))
+    pitches_rad = []
+    for step in range(BEGINS, ENDS):
+        (place,) = [number for number, name in enumerate(found.names(step)) if name == "lead"]
+        pitches_rad.append(found.pitch_rad(step))
+        expected = CAMERA.tilted(edits[kind](found.level_boxes(step)["lead"]), pitches_rad[-1])
+        assert expected is not None
+        assert found.given(step)[place, X_MIN:] == pytest.approx(np.array(expected[X_MIN:], float), abs=0.02)
+    assert np.ptp(pitches_rad) > math.radians(0.2), "the car hardly pitches"
+
+
+def at_distance(box: Box, factor: float) -> Box:
+    return box._replace(y_max_px=CAMERA.horizon_px + (box.y_max_px - CAMERA.horizon_px) / factor)
+
+
+def moved_left(box: Box, left_m: float) -> Box:
+    ground_m = CAMERA.ground_depth_m(box.y_max_px)
+    assert ground_m is not None
+    shift_px = left_m * CAMERA.focal_px / ground_m
+    return box._replace(x_min_px=box.x_min_px - shift_px, x_max_px=box.x_max_px - shift_px)
+
+
+def scaled(box: Box, factor: float) -> Box:
+    middle_x, middle_y = 0.5 * (box.x_min_px + box.x_max_px), 0.5 * (box.y_min_px + box.y_max_px)
+    sides = (middle_x + factor * (x - middle_x) for x in (box.x_min_px, box.x_max_px))
+    ends = (middle_y + factor * (y - middle_y) for y in (box.y_min_px, box.y_max_px))
+    return Box(box.label, *sides, *ends)
 
 
 def test_vehicles_and_persons_are_mistaken_for_each_other(drive: Callable[..., Drive]) -> None:
@@ -375,7 +445,7 @@ def test_vehicles_and_persons_are_mistaken_for_each_other(drive: Callable[..., D
 def test_a_short_range_hides_what_is_farther_away(
     drive: Callable[..., Drive], target: str, range_m: float
 ) -> None:
-    found = drive(error("short_range", range_m, target))
+    found = drive(error("short_range", range_m, target), spec=LEVEL)
     counts = [0, 0]
 
     def is_hidden(step: int, name: str, row: FloatArray) -> bool:
@@ -419,7 +489,7 @@ def test_a_ghost_appears_ahead_for_the_duration(
     half_length_m: float,
     left_m: float,
 ) -> None:
-    found = drive(error(kind, 2.0, target))
+    found = drive(error(kind, 2.0, target), spec=LEVEL)
     ghosts = ghosts_of(found)
     assert [step for step, rows in enumerate(ghosts) if len(rows)] == list(range(BEGINS, ENDS))
     first = ghosts[BEGINS]
@@ -441,7 +511,7 @@ def test_a_ghost_in_the_image_stays_there_while_the_ego_moves(drive: Callable[..
 
 
 def test_a_ghost_on_the_road_stays_there_while_the_ego_moves(drive: Callable[..., Drive]) -> None:
-    found = drive(error("ghost_on_road", 2.0))
+    found = drive(error("ghost_on_road", 2.0), spec=LEVEL)
     places, depths = [], []
     for step, rows in enumerate(ghosts_of(found)[:ENDS]):
         for row in rows:
@@ -477,7 +547,7 @@ def test_a_window_begins_when_the_lead_brakes(
 
 
 @pytest.mark.parametrize(
-    ("target", "after_s"), [("pedestrian", 0.0), ("pedestrian", 3.0), ("lead", 0.0), ("everybody", 3.0)]
+    ("target", "after_s"), [("pedestrian", 0.0), ("pedestrian", 4.0), ("lead", 0.0), ("everybody", 4.0)]
 )
 def test_a_window_begins_when_a_pedestrian_steps_out(
     drive: Callable[..., Drive], target: str, after_s: float
@@ -488,8 +558,9 @@ def test_a_window_begins_when_a_pedestrian_steps_out(
         speeds = actor.motion[:, 3]
         if actor.kind == "pedestrian":
             for step in found.steps[1:]:
-                # Pedestrians stand still at the kerb before they cross, and nowhere else.
-                if speeds[step - 1] == 0 < speeds[step] and step >= 10 * after_s:
+                # Pedestrians stand still at the kerb before they cross; on the road, they may wait for a vehicle.
+                is_beside_road = abs(actor.motion[step, 1]) > KERB_M
+                if is_beside_road and speeds[step - 1] == 0 < speeds[step] and step >= 10 * after_s:
                     stepping[step] = actor.name
     begins = min(stepping)
     hidden = {"pedestrian": {stepping[begins]}, "lead": {"lead"}}.get(target)
@@ -540,7 +611,7 @@ def test_the_severity_is_the_greatest_of_the_errors_that_acted(drive: Callable[.
 
 
 def test_errors_act_one_after_another(drive: Callable[..., Drive]) -> None:
-    both = drive(error("left", 1.0), error("left", 0.5))
+    both = drive(error("left", 1.0), error("left", 0.5), spec=LEVEL)
     for true, reported in edited(both, is_lead):
         shift_px = (reported - true)[[X_MIN, X_MAX]]
         np.testing.assert_allclose(shift_px, -1.5 * CAMERA.focal_px / depth_m(true), atol=1e-3)
@@ -670,10 +741,10 @@ def test_a_bad_behaviour_is_refused_by_the_simulator(
 
 
 def test_each_simulator_takes_only_its_own_behaviours(simulator: BrinkDriveErrors) -> None:
-    with pytest.raises(InvalidEpisode, match="simulator: expected brink-drive-errors@1, got 'brink-drive@2'"):
-        simulator.run(replace(STRAIGHT, simulator="brink-drive@2"))
+    with pytest.raises(InvalidEpisode, match="simulator: expected brink-drive-errors@2, got 'brink-drive@3'"):
+        simulator.run(replace(STRAIGHT, simulator="brink-drive@3"))
     with pytest.raises(InvalidEpisode, match=r"behaviour\.mode: expected one of injected, oracle"):
-        BrinkDrive().run(replace(STRAIGHT, simulator="brink-drive@2"))
+        BrinkDrive().run(replace(STRAIGHT, simulator="brink-drive@3"))
 
 
 def test_late_withholds_nobody_who_was_reported_before() -> None:
@@ -688,7 +759,7 @@ def test_late_withholds_nobody_who_was_reported_before() -> None:
         "driving_task": "follow_road",
     }
     spec = EpisodeSpec(
-        simulator="brink-drive-errors@1",
+        simulator="brink-drive-errors@2",
         scenario=scenario,
         requirements=("front-gap@1",),
         seed=3,

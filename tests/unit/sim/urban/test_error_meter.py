@@ -262,7 +262,7 @@ def test_places_that_are_given_count_instead_of_the_box() -> None:
 
 def test_drives_with_a_camera_tell_the_errors_of_their_detector() -> None:
     spec = EpisodeSpec(
-        simulator="brink-drive-camera@2",
+        simulator="brink-drive-camera@3",
         scenario={
             "time_of_day": "noon",
             "weather": "clear",

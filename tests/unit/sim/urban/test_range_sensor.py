@@ -1,6 +1,7 @@
 """The range sensor and the recorder: exact geometry, determinism, and that watching changes nothing."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ from brink.guard.features import ALL_FEATURES
 from brink.guard.recorder import observe_drive, record_drive
 from brink.search.streams import Stream, episode_seed, generator
 from brink.server.problems.urban_injected import UrbanInjected, UrbanInjectedParams
+from brink.sim.driving.interface import CONTROL_STEP_S, LATENCY_S
 from brink.sim.episode import EpisodeSpec
 from brink.sim.errors import InvalidEpisode
 from brink.sim.guard.interface import SECTORS, KnownConditions
-from brink.sim.urban.range_sensor import RangeSensor, sector_distances
+from brink.sim.urban.range_sensor import RangeSensor, scan_number, sector_distances
 from brink.sim.urban.simulator import BrinkDrive
 from brink.sim.world.scenario import UrbanScenario
 from brink.sim.world.world import make_world
@@ -87,19 +89,35 @@ def test_watching_changes_nothing_and_features_are_reproducible() -> None:
     plain, recorded, again = BrinkDrive().run(spec()), record_drive(spec()), record_drive(spec())
     assert recorded.verdicts == plain.verdicts
     assert recorded.ended_at_s == plain.features["ended_at_s"]
-    assert recorded.features.shape == (round(recorded.ended_at_s / 0.1 + 0.49), len(ALL_FEATURES))
+    assert recorded.begins_s == LATENCY_S
+    steps = round((recorded.ended_at_s - LATENCY_S) / 0.1 + 0.49)
+    assert recorded.features.shape == (steps, len(ALL_FEATURES))
     assert np.isfinite(recorded.features).all()
     assert (recorded.features == again.features).all()
 
 
-def test_a_guard_receives_boxes_and_scans_at_perception_steps() -> None:
-    moments = observe_drive(spec()).moments
+@pytest.mark.parametrize("latency_steps", [0, 1, 2, 5])
+def test_a_guard_receives_boxes_and_scans_when_the_boxes_of_an_image_arrive(latency_steps: int) -> None:
+    latency_s = latency_steps * CONTROL_STEP_S
+    delayed = replace(spec(), options={**spec().options, "latency_s": latency_s})
+    moments = observe_drive(delayed).moments
     for number, moment in enumerate(moments):
-        assert (moment.observation.boxes is None) == (moment.scan is None) == bool(number % 2)
+        arrives = number >= latency_steps and (number - latency_steps) % 2 == 0
+        assert (moment.observation.boxes is not None) == (moment.scan is not None) == arrives
+        if arrives:
+            assert moment.observation.seen_s == pytest.approx(moment.observation.time_s - latency_s)
     assert moments[-1].observation.time_s == pytest.approx(0.05 * (len(moments) - 1))
 
 
+@pytest.mark.parametrize("latency_steps", range(6))
+def test_each_scan_has_noise_of_its_own_whatever_the_latency(latency_steps: int) -> None:
+    last = round(8.0 / CONTROL_STEP_S)
+    numbers = [scan_number(step * CONTROL_STEP_S) for step in range(latency_steps, last, 2)]
+    assert numbers == list(range(latency_steps // 2, latency_steps // 2 + len(numbers)))
+    assert numbers[-1] < 80
+
+
 def test_other_simulators_are_refused() -> None:
-    other = EpisodeSpec.from_json({**spec().to_json(), "simulator": "brink-aeb@2"})
-    with pytest.raises(InvalidEpisode, match=r"brink-drive@2.*got 'brink-aeb@2'"):
+    other = EpisodeSpec.from_json({**spec().to_json(), "simulator": "brink-aeb@3"})
+    with pytest.raises(InvalidEpisode, match=r"brink-drive@3.*got 'brink-aeb@3'"):
         record_drive(other)

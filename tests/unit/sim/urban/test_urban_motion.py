@@ -18,14 +18,16 @@ from brink.sim.requirements import WorldSample
 from brink.sim.urban.behaviour import DetectorBehaviour
 from brink.sim.urban.episode_loop import run_loop
 from brink.sim.urban.facts import Facts
-from brink.sim.world.ego import GRAVITY_MPS2
-from brink.sim.world.pedestrians import WALKER_STEP_S
+from brink.sim.world.ego import EGO_CAR, GRAVITY_MPS2
+from brink.sim.world.pedestrians import HURRY_SHARE, WALK_ACCEL_MPS2, WALKER_STEP_S
 from brink.sim.world.scenario import UrbanScenario
 from brink.sim.world.world import RoadUser, UrbanWorld, make_world
 
 FASTER_TO_CROSS = 1.1
-"""People cross the road a tenth faster than they walk."""
-ROUNDING_M = 1e-3
+"""People cross the road a tenth faster than they walk, and hurry out of a vehicle's way at `HURRY_SHARE` of that."""
+ROUNDING_M, ROUNDING = 1e-3, 1e-6
+OFF_BEND_M = 3e-3
+"""Between two looks people walk straight on, even in a bend, and are then placed on it again."""
 SCENARIO: JsonObject = {
     "time_of_day": "noon",
     "weather": "clear",
@@ -45,6 +47,9 @@ class Motion:
     poses: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)
     jumps: list[tuple[str, float, float]] = field(default_factory=list)
     skids: list[tuple[str, float, float]] = field(default_factory=list)
+    jerks: list[tuple[str, float, float]] = field(default_factory=list)
+    ego_mps: float = 0.0
+    ego_pose: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         self._remember()
@@ -53,14 +58,26 @@ class Motion:
         users: tuple[RoadUser, ...] = (*self.world.vehicles, *self.world.walkers)
         for user in users:
             self.poses[user.name] = (user.x_m, user.y_m, user.yaw_rad, user.speed_mps)
+        ego = self.world.ego
+        self.ego_pose, self.ego_mps = (ego.x_m, ego.y_m), ego.speed_mps
 
     def see(self, sample: WorldSample, driving: DrivingSystem) -> None:
         """Compare the last step."""
         for walker in self.world.walkers:
+            before_mps = self.poses[walker.name][3]
             moved_m = self._moved(walker)
-            limit_m = walker.walking_mps * FASTER_TO_CROSS * WALKER_STEP_S
-            if moved_m > limit_m + ROUNDING_M:
+            # Within a step, people move at the speed that they have after it.
+            limit_m = walker.speed_mps * WALKER_STEP_S
+            if moved_m > limit_m + OFF_BEND_M:
                 self.jumps.append((walker.name, sample.time_s, moved_m - limit_m))
+            most_mps = walker.walking_mps * FASTER_TO_CROSS * HURRY_SHARE
+            changed_mps = abs(walker.speed_mps - before_mps)
+            if (
+                changed_mps > WALK_ACCEL_MPS2 * WALKER_STEP_S + ROUNDING
+                or walker.speed_mps > most_mps + ROUNDING
+            ):
+                self.jerks.append((walker.name, sample.time_s, walker.speed_mps - before_mps))
+        grip_mps2 = self.world.weather.friction * GRAVITY_MPS2
         for vehicle in self.world.vehicles:
             _, _, yaw_rad, before_mps = self.poses[vehicle.name]
             moved_m = self._moved(vehicle)
@@ -69,9 +86,25 @@ class Motion:
                 self.jumps.append((vehicle.name, sample.time_s, moved_m - limit_m))
             turned_rad = abs(math.remainder(vehicle.yaw_rad - yaw_rad, math.tau))
             lateral_mps2 = turned_rad / CONTROL_STEP_S * moved_m / CONTROL_STEP_S
-            if lateral_mps2 > self.world.weather.friction * GRAVITY_MPS2:
-                self.skids.append((vehicle.name, sample.time_s, lateral_mps2))
+            braking_mps2 = (before_mps - vehicle.speed_mps) / CONTROL_STEP_S
+            if max(lateral_mps2, braking_mps2) > grip_mps2:
+                self.skids.append((vehicle.name, sample.time_s, max(lateral_mps2, braking_mps2)))
+        self._see_ego(sample, grip_mps2)
         self._remember()
+
+    def _see_ego(self, sample: WorldSample, grip_mps2: float) -> None:
+        """Compare the ego's last step: its tyres cannot transmit more than friction allows; slope and drag add."""
+        ego = self.world.ego
+        moved_m = math.dist((ego.x_m, ego.y_m), self.ego_pose)
+        limit_m = max(self.ego_mps, ego.speed_mps) * CONTROL_STEP_S
+        if moved_m > limit_m + ROUNDING_M:
+            self.jumps.append(("ego", sample.time_s, moved_m - limit_m))
+        slope_mps2 = abs(self.world.road.style.grade) * GRAVITY_MPS2
+        drag_mps2 = EGO_CAR.drag_1pm * self.ego_mps**2
+        braking_mps2 = max((self.ego_mps - ego.speed_mps) / CONTROL_STEP_S - slope_mps2 - drag_mps2, 0.0)
+        lateral_mps2 = ego.yaw_rate_radps * ego.speed_mps
+        if max(braking_mps2, abs(lateral_mps2)) > grip_mps2 + ROUNDING:
+            self.skids.append(("ego", sample.time_s, math.hypot(braking_mps2, lateral_mps2)))
 
     def _moved(self, user: RoadUser) -> float:
         x_m, y_m, _, _ = self.poses[user.name]
@@ -107,7 +140,7 @@ def watch(number: int) -> Motion:
     return motion
 
 
-# Before brink-drive@2, people jumped to the kerb in most of these episodes, and the lead vehicle skidded in 0, 72
+# Before brink-drive@3, people jumped to the kerb in most of these episodes, and the lead vehicle skidded in 0, 72
 # and 154.
 @pytest.mark.parametrize(
     "number", mostly_long([*range(60), 72, 154], [0, 2, 9, 72, 154], "further random candidates")
@@ -116,20 +149,28 @@ def test_road_users_move_as_fast_as_they_can_at_most(number: int) -> None:
     motion = watch(number)
     assert motion.jumps == []
     assert motion.skids == []
+    assert motion.jerks == []
 
 
-def test_a_jump_and_a_skid_are_noticed() -> None:
+def test_a_jump_a_skid_and_a_jerk_are_noticed() -> None:
     motion = Motion(make_world(UrbanScenario.from_json(SCENARIO), 1))
     driving = ModularDriving(motion.world.route, camera=Camera())
     engine = process_engine()
     engine.reset()
     sample = Facts(motion.world, engine).measure(0.0)
     motion.see(sample, driving)
-    assert (motion.jumps, motion.skids) == ([], [])
-    lead, walker = motion.world.vehicles[0], motion.world.walkers[0]
-    walker.x_m += 0.3
+    assert (motion.jumps, motion.skids, motion.jerks) == ([], [], [])
+    lead, oncoming = motion.world.vehicles[:2]
+    jumping, jerking = motion.world.walkers[:2]
+    ego = motion.world.ego
+    jumping.x_m += 0.3
+    jerking.speed_mps -= 1.01 * WALK_ACCEL_MPS2 * WALKER_STEP_S
     lead.x_m += 0.95 * lead.speed_mps * CONTROL_STEP_S
     lead.yaw_rad += 0.1
+    oncoming.speed_mps -= 1.01 * 0.9 * GRAVITY_MPS2 * CONTROL_STEP_S
+    ego.x_m += 1.1 * ego.speed_mps * CONTROL_STEP_S
+    ego.speed_mps -= 1.01 * (0.9 * GRAVITY_MPS2 + EGO_CAR.drag_1pm * ego.speed_mps**2) * CONTROL_STEP_S
     motion.see(sample, driving)
-    assert [name for name, _, _ in motion.jumps] == [walker.name]
-    assert [name for name, _, _ in motion.skids] == ["lead"]
+    assert [name for name, _, _ in motion.jumps] == [jumping.name, "ego"]
+    assert [name for name, _, _ in motion.skids] == ["lead", oncoming.name, "ego"]
+    assert [name for name, _, _ in motion.jerks] == [jerking.name]

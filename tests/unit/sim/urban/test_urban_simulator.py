@@ -8,6 +8,7 @@ import pytest
 from brink.server.problems.urban_injected import UrbanInjected, UrbanInjectedParams
 from brink.sim.bullet.engine import process_engine
 from brink.sim.catalogue import requirement_ids
+from brink.sim.driving.camera import LEAST_VISIBLE
 from brink.sim.episode import EpisodeResult, EpisodeSpec, JsonObject
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.trace import Trace
@@ -23,7 +24,7 @@ SCENARIO: JsonObject = {
     "driving_task": "second_exit",
 }
 ORACLE = EpisodeSpec(
-    simulator="brink-drive@2",
+    simulator="brink-drive@3",
     scenario=SCENARIO,
     behaviour={"mode": "oracle"},
     requirements=requirement_ids(),
@@ -58,7 +59,7 @@ def test_every_requirement_has_a_finite_verdict(simulator: BrinkDrive) -> None:
     assert all(np.isfinite(verdict.robustness) for verdict in result.verdicts.values())
     assert set(result.objectives) == {f"{name}:robustness" for name in ORACLE.requirements}
     assert result.trace is None
-    assert result.provenance["simulator"] == "brink-drive@2"
+    assert result.provenance["simulator"] == "brink-drive@3"
     assert result.provenance["instruction_set"]
 
 
@@ -98,6 +99,16 @@ def test_a_trace_is_complete_and_consistent_with_the_verdicts(simulator: BrinkDr
     for ragged in (trace.seen_boxes, trace.given_boxes, trace.perceived):
         assert len(ragged.first) == count + 1
     assert np.array_equal(trace.seen_boxes.rows, trace.given_boxes.rows)
+    assert trace.pitch_rad is not None
+    assert trace.pitch_rad.shape == (count,)
+    assert float(trace.pitch_rad.min()) < -0.003
+    shares = np.array([actor.visible for actor in trace.actors])
+    assert shares.shape == (len(trace.actors), count)
+    known = np.isfinite(shares)
+    assert ((shares[known] >= 0.0) & (shares[known] <= 1.0)).all()
+    # The last sample shows the moment after the last image.
+    told = (shares >= LEAST_VISIBLE).sum(axis=0)[:-1]
+    assert told.tolist() == np.diff(trace.seen_boxes.first)[:-1].tolist()
     assert set(trace.lights) <= {"green", "amber", "red", ""}
     assert "red" in trace.lights
     for name, verdict in result.verdicts.items():
@@ -171,7 +182,7 @@ def test_an_ego_without_detections_drives_into_slow_traffic(simulator: BrinkDriv
         ({"requirements": ("front-gap",)}, "did you mean 'front-gap@2'"),
         ({"requirements": ("front-gap@1", "front-gap@1")}, "twice"),
         ({"duration_s": 1e6}, "expected at most"),
-        ({"simulator": "other@1"}, "simulator: expected brink-drive@2, got"),
+        ({"simulator": "other@1"}, "simulator: expected brink-drive@3, got"),
         ({"scenario": {}}, "scenario.time_of_day: missing"),
         ({"behaviour": {"mode": "injected"}}, "behaviour.trajectories: missing"),
     ],

@@ -12,13 +12,13 @@ from brink.sim.bullet.wheels import WheeledCar
 from brink.sim.episode import EpisodeSpec
 from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDrive
-from brink.sim.world.ego import EGO_CAR, GRAVITY_MPS2, EgoCar, EgoMotion
+from brink.sim.world.ego import EGO_CAR, GRAVITY_MPS2, PHYSICS_STEP_S, PROMPT_CAR, CarModel, EgoCar, EgoMotion
 
 FULL_BRAKES = -EGO_CAR.brake_mps2
 
 
 def stopping_distance_m(speed_mps: float, friction: float, grade: float = 0.0) -> float:
-    car = EgoCar((0.0, 0.0, 0.0), speed_mps, friction=friction)
+    car = EgoCar((0.0, 0.0, 0.0), speed_mps, friction=friction, model=PROMPT_CAR)
     car.set_grade(grade)
     for _ in range(10_000):
         if car.speed_mps == 0.0:
@@ -65,7 +65,7 @@ def test_friction_circle_holds(
 
 FIDELITIES = ("bicycle", "wheels")
 SPEC = EpisodeSpec(
-    simulator="brink-drive@2",
+    simulator="brink-drive@3",
     scenario={
         "time_of_day": "noon",
         "weather": "wet",
@@ -82,12 +82,12 @@ SPEC = EpisodeSpec(
 )
 
 
-def car(fidelity: str, speed_mps: float, friction: float) -> EgoMotion:
+def car(fidelity: str, speed_mps: float, friction: float, model: CarModel = PROMPT_CAR) -> EgoMotion:
     if fidelity == "bicycle":
-        return EgoCar((0.0, 0.0, 0.0), speed_mps, friction=friction)
+        return EgoCar((0.0, 0.0, 0.0), speed_mps, friction=friction, model=model)
     engine = process_engine()
     engine.reset()
-    return WheeledCar(engine, (0.0, 0.0, 0.0), speed_mps, friction=friction)
+    return WheeledCar(engine, (0.0, 0.0, 0.0), speed_mps, friction=friction, model=model)
 
 
 def braking_distance_m(fidelity: str, speed_mps: float, friction: float) -> float:
@@ -121,6 +121,51 @@ def test_both_models_brake_within_the_distance_friction_allows(speed_mps: float,
     assert bicycle == pytest.approx(expected_m, rel=0.05)
     assert wheels == pytest.approx(expected_m, rel=0.05)
     assert wheels == pytest.approx(bicycle, rel=0.05)
+
+
+@pytest.mark.parametrize("fidelity", FIDELITIES)
+def test_full_braking_builds_up_as_fast_as_in_a_passenger_car(fidelity: str) -> None:
+    one = car(fidelity, 15.0, 0.9, EGO_CAR)
+    begins_s, built_up_s = math.inf, math.inf
+    for step in range(1, 100):
+        one.drive(FULL_BRAKES, 0.0, 1)
+        if one.accel_mps2 < -0.5:
+            begins_s = min(begins_s, step * PHYSICS_STEP_S)
+        if one.accel_mps2 < -0.75 * 0.9 * GRAVITY_MPS2:
+            built_up_s = min(built_up_s, step * PHYSICS_STEP_S)
+    assert begins_s > EGO_CAR.delay_s
+    assert built_up_s == pytest.approx(0.36, abs=0.06)  # Directive 71/320/EEC: M1 vehicles
+
+
+@pytest.mark.parametrize("fidelity", FIDELITIES)
+def test_delay_and_build_up_lengthen_the_stopping_distance(fidelity: str) -> None:
+    prompt_m, real_m = (stopping_m(car(fidelity, 10.0, 0.9, model), -6.0) for model in (PROMPT_CAR, EGO_CAR))
+    # The rate limits the braking until it is within rate times lag of what is wanted; then the lag does.
+    rest_mps2 = EGO_CAR.brake_rate_mps3 * EGO_CAR.brake_lag_s
+    ramp_s = (6.0 - rest_mps2) / EGO_CAR.brake_rate_mps3
+    lost_s = ramp_s * (1.0 - 0.5 * (6.0 - rest_mps2) / 6.0) + rest_mps2 / 6.0 * EGO_CAR.brake_lag_s
+    longer_m = 10.0 * (EGO_CAR.delay_s + lost_s - PROMPT_CAR.brake_lag_s)
+    assert real_m - prompt_m == pytest.approx(longer_m, rel=0.1)
+
+
+def stopping_m(one: EgoMotion, accel_mps2: float) -> float:
+    for _ in range(1500):
+        if one.speed_mps < 0.02:
+            return one.x_m
+        one.drive(accel_mps2, 0.0, 1)
+    pytest.fail("the car never stopped")
+
+
+def test_the_body_pitches_with_its_acceleration_and_swings_back() -> None:
+    one = car("bicycle", 20.0, 0.9, EGO_CAR)
+    pitches = []
+    for _ in range(40):
+        one.drive(-5.0, 0.0, 5)
+        pitches.append(math.degrees(one.pitch_rad))
+    settled = math.degrees(-5.0 * EGO_CAR.pitch_rad_per_mps2)
+    assert pitches[-1] == pytest.approx(settled, rel=0.1)
+    assert settled == pytest.approx(-1.8 * 5.0 / GRAVITY_MPS2, rel=0.05)
+    assert min(pitches) < 1.1 * settled, "a damped oscillator overshoots"
 
 
 @pytest.mark.parametrize("friction", [0.9, 0.6, 0.4])

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from brink.sim.driving.interface import LightState
 from brink.sim.world.line import Piece, ReferenceLine
-from brink.sim.world.road import CYCLE_S, SignalPlan, build_road, ego_route, stream_lane
+from brink.sim.world.road import CROSSING_WIDTH_M, CYCLE_S, SignalPlan, build_road, ego_route, stream_lane
 from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, Weather
-from brink.sim.world.scenery import fixtures
+from brink.sim.world.scenery import fixtures, scene_surfaces
 from brink.sim.world.streams import Stream, generator
 from brink.sim.world.weather import conditions
 
@@ -110,6 +110,37 @@ def test_only_junctions_with_lights_have_stop_lines_before_them() -> None:
             assert 10.0 < line_m < road.junctions[0].forward_m - 2 * road.style.lane_width_m + 3.0
         else:
             assert route.stop_line_stations_m == ()
+
+
+def test_no_dash_is_on_the_crossing_or_in_a_junction() -> None:
+    for road in ROADS:
+        dashes = [surface.points for surface in scene_surfaces(road) if surface.kind == "marking"]
+        for points in dashes:
+            for x_m, y_m in points.tolist():
+                station_m, offset_m = road.centre.project(x_m, y_m, road.crossing_m)
+                is_near = math.dist(road.centre.pose_at(station_m, offset_m)[:2], (x_m, y_m)) < 0.01
+                if is_near and abs(offset_m) < 0.05:
+                    assert abs(station_m - road.crossing_m) >= 0.5 * CROSSING_WIDTH_M - 0.01
+                    assert all(abs(station_m - one.station_m) > road.kerb_m for one in road.junctions)
+
+
+def test_traffic_stops_at_a_line_on_each_arm_of_a_lit_junction() -> None:
+    for road in ROADS:
+        (junction, *_) = road.junctions
+        lines = [one for one in scene_surfaces(road) if one.kind == "marking" and one.closed]
+        if not junction.lit:
+            assert lines == []
+            continue
+        for line in lines:
+            x_m, y_m = line.points.mean(axis=0).tolist()
+            away_rad = math.atan2(y_m - junction.y_m, x_m - junction.x_m) - junction.yaw_rad
+            out_m = math.dist((x_m, y_m), (junction.x_m, junction.y_m))
+            assert out_m * math.cos(math.remainder(away_rad, 0.5 * math.pi)) == pytest.approx(
+                road.stop_line_before_junction_m, abs=1e-3
+            )
+            # Those who come in keep right: their line is to the left of the direction out.
+            assert math.remainder(away_rad, 0.5 * math.pi) > 0.0
+        assert len(lines) == 1 + junction.right + junction.left
 
 
 def test_there_is_no_oncoming_lane_inside_a_turn() -> None:

@@ -2,13 +2,22 @@
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
 from brink.sim.driving.interface import CONTROL_STEP_S, LightState
+from brink.sim.plane import Rectangle, signed_gap_m
 from brink.sim.world.line import Piece, ReferenceLine
-from brink.sim.world.pedestrians import KERB_SETBACK_M, WALKER_STEP_S, Phase, Walker
+from brink.sim.world.pedestrians import (
+    HURRY_SHARE,
+    KERB_SETBACK_M,
+    WALK_ACCEL_MPS2,
+    WALKER_STEP_S,
+    Phase,
+    Walker,
+)
 from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
 from brink.sim.world.traffic import lane_is_free
 from brink.sim.world.vehicle import CAR, CORNERING_MPS2, DrivingStyle, Mover, StopPoint, Vehicle
@@ -48,13 +57,20 @@ def drive(vehicles: list[Vehicle], seconds: float, others: tuple[Mover, ...] = (
             one.move(step * CONTROL_STEP_S, CONTROL_STEP_S)
 
 
-def walker(crosses_at_m: float | None, *, patience_s: float = 1.0, on_zebra: bool = False) -> Walker:
+def walker(
+    crosses_at_m: float | None,
+    *,
+    patience_s: float = 1.0,
+    on_zebra: bool = False,
+    speed_mps: float = 1.3,
+    offset_m: float = 5.0,
+) -> Walker:
     return Walker(
         name="walker",
         centre=ROAD,
         station_m=40.0,
-        offset_m=5.0,
-        speed_mps=1.3,
+        offset_m=offset_m,
+        speed_mps=speed_mps,
         ahead=True,
         crosses_at_m=crosses_at_m,
         kerb_m=3.5,
@@ -110,6 +126,87 @@ def test_a_walker_walks_to_the_kerb_before_it_waits() -> None:
     assert (on_foot.phase, on_foot.speed_mps) == (Phase.WAITING, 0.0)
     assert on_foot.offset_m == pytest.approx(on_foot.kerb_m + KERB_SETBACK_M)
     assert on_foot.station_m - 40.5 == pytest.approx(0.0, abs=1.3 * WALKER_STEP_S)
+
+
+@pytest.mark.parametrize("speed_mps", [1.0, 1.3, 1.6])
+@pytest.mark.parametrize("to_go_m", [0.15, 0.3, 0.5, 0.77, 1.2])
+def test_a_walker_brakes_for_the_kerb_as_hard_as_people_can_at_most(speed_mps: float, to_go_m: float) -> None:
+    on_foot = walker(41.0, patience_s=99.0, speed_mps=speed_mps, offset_m=3.5 + KERB_SETBACK_M + to_go_m)
+    car = vehicle(41.0, speed_mps=5.0)
+    speeds = [on_foot.speed_mps]
+    for _ in range(40):
+        on_foot.look(0.0, [car])
+        on_foot.move()
+        speeds.append(on_foot.speed_mps)
+    changes = [abs(after - before) for before, after in itertools.pairwise(speeds)]
+    assert max(changes) <= WALK_ACCEL_MPS2 * WALKER_STEP_S + 1e-9
+    assert (on_foot.phase, on_foot.speed_mps) == (Phase.WAITING, 0.0)
+    # Who has too little room for that stops nearer to the kerb, but not on the road.
+    assert on_foot.kerb_m < on_foot.offset_m < on_foot.kerb_m + KERB_SETBACK_M + 1e-9
+    if to_go_m > 0.6:
+        assert on_foot.offset_m == pytest.approx(on_foot.kerb_m + KERB_SETBACK_M)
+
+
+def crossing_walker(offset_m: float, *, on_zebra: bool = False) -> Walker:
+    """Return somebody who walks across the road, from the left to the right."""
+    on_foot = walker(40.0, on_zebra=on_zebra)
+    on_foot.phase, on_foot.offset_m, on_foot.speed_mps = Phase.CROSSING, offset_m, 1.43
+    on_foot.look(0.0, [])
+    return on_foot
+
+
+def meet(on_foot: Walker, car: Vehicle, seconds: float) -> list[tuple[float, float]]:
+    """Return the walker's offset and speed at each of its steps, while a car drives on at its speed."""
+    seen = [(on_foot.offset_m, on_foot.speed_mps)]
+    for step in range(round(seconds / CONTROL_STEP_S)):
+        car.move(step * CONTROL_STEP_S, CONTROL_STEP_S)
+        if step % 2 == 0:
+            if step % 4 == 0:
+                on_foot.look(step * CONTROL_STEP_S, [car])
+            on_foot.move()
+            seen.append((on_foot.offset_m, on_foot.speed_mps))
+            assert not touches(car, on_foot), step
+    return seen
+
+
+def touches(car: Vehicle, on_foot: Walker) -> bool:
+    return signed_gap_m(Rectangle.of(car), Rectangle.of(on_foot)) <= 0.0
+
+
+def test_a_person_who_crosses_stops_before_the_path_of_a_car_that_would_hit_it_and_then_goes_on() -> None:
+    on_foot, car = crossing_walker(3.4), vehicle(22.0)
+    seen = meet(on_foot, car, 2.0)
+    assert min(speed for _, speed in seen) == 0.0
+    assert 0.5 * CAR.width_m < min(offset for offset, _ in seen) < 2.0
+    seen += meet(on_foot, car, 5.0)
+    assert on_foot.offset_m == pytest.approx(-5.0, abs=0.5)
+    speeds = [speed for _, speed in seen]
+    assert max(abs(b - a) for a, b in itertools.pairwise(speeds)) <= WALK_ACCEL_MPS2 * WALKER_STEP_S + 1e-9
+
+
+def test_a_person_in_the_path_of_a_car_hurries_out_of_it() -> None:
+    on_foot, car = crossing_walker(0.4), vehicle(24.5)
+    speeds = [speed for _, speed in meet(on_foot, car, 2.5)]
+    assert max(speeds) == pytest.approx(1.3 * 1.1 * HURRY_SHARE)
+    assert min(speeds) >= 1.43
+    assert max(abs(b - a) for a, b in itertools.pairwise(speeds)) <= WALK_ACCEL_MPS2 * WALKER_STEP_S + 1e-9
+
+
+def test_a_person_on_a_zebra_relies_on_drivers_who_can_still_stop_and_on_no_others() -> None:
+    for ahead_m, goes_on in ((28.0, True), (9.0, False)):
+        on_foot, car = crossing_walker(1.9, on_zebra=True), vehicle(40.0 - ahead_m - 2.2)
+        on_foot.look(0.0, [car])
+        for _ in range(3):
+            on_foot.move()
+        assert (on_foot.speed_mps > 1.3) is goes_on
+
+
+def test_a_person_who_crosses_does_not_mind_a_car_that_passes_behind_or_stands() -> None:
+    for car in (vehicle(28.0), vehicle(37.0, speed_mps=0.0)):
+        on_foot = crossing_walker(-1.5)
+        on_foot.look(0.0, [car])
+        on_foot.move()
+        assert on_foot.speed_mps == pytest.approx(1.43)
 
 
 def test_a_walker_keeps_its_speed_on_the_pavement_of_a_bend() -> None:
@@ -188,19 +285,103 @@ def parked(x_m: float, y_m: float, speed_mps: float = 0.0, yaw_rad: float = 0.0)
     return one
 
 
-def test_vehicles_give_way_to_people_on_the_crossing() -> None:
-    for seed, road_id in itertools.product(range(2), range(3)):
-        world = make_world(replace(SCENARIO, road_id=road_id), seed)
+NEAR_M = 2.5
+"""Drivers stop for persons on a zebra crossing who are this close to their lane."""
+
+
+@pytest.mark.parametrize(
+    ("beside_m", "phase", "stops"),
+    [
+        (-0.5, Phase.CROSSING, True),
+        (1.0, Phase.CROSSING, True),
+        (NEAR_M - 0.1, Phase.WAITING, True),
+        (NEAR_M + 0.1, Phase.WAITING, False),
+        (-1.0, Phase.ALONG, False),
+    ],
+    ids=["in the lane", "beside it", "at the kerb", "farther away", "passes by"],
+)
+def test_drivers_stop_for_persons_in_or_near_their_lane_on_a_zebra_and_for_no_others(
+    beside_m: float, phase: Phase, stops: bool
+) -> None:
+    # The person stands on the left of the road, from where the oncoming cars come.
+    assert stands_before_zebra(lambda half_lane_m: 2.0 * half_lane_m + beside_m, phase) is stops
+
+
+@pytest.mark.parametrize("beside_m", [0.1, 1.0, NEAR_M])
+def test_drivers_do_not_stop_for_persons_who_have_left_their_lane(beside_m: float) -> None:
+    # From the left, they have walked on into the ego's lane.
+    assert not stands_before_zebra(lambda _: -beside_m, Phase.CROSSING)
+    assert stands_before_zebra(lambda _: 0.1, Phase.CROSSING)
+
+
+def stands_before_zebra(offset_m: Callable[[float], float], phase: Phase) -> bool:
+    """Return whether an oncoming car stands before the zebra while one person stays at an offset; else it is past."""
+    world = make_world(replace(SCENARIO, pedestrians=3, road_id=0), 1)
+    (on_foot,) = [one for one in world.walkers if one.on_zebra]
+    assert on_foot.offset_m > 0.0
+    car = world.vehicles[1]
+    assert car.name == "oncoming-1"
+    line_m = car.stops[0].station_m
+    car.station_m = line_m - 40.0
+    on_foot.phase, on_foot.offset_m = phase, offset_m(0.5 * world.road.style.lane_width_m)
+    drive([car], 10.0)
+    front_m = car.station_m + 0.5 * car.length_m
+    if car.speed_mps < 0.05:
+        assert line_m - 3.0 < front_m < line_m + 0.5
+        return True
+    assert front_m > line_m + 20.0
+    return False
+
+
+@pytest.mark.parametrize("curve", [RoadCurve.STRAIGHT, RoadCurve.LEFT])
+def test_vehicles_give_way_to_people_on_the_crossing(curve: RoadCurve) -> None:
+    for seed, road_id in itertools.product(range(3), range(3)):
+        world = make_world(replace(SCENARIO, road_id=road_id, road_curve=curve), seed)
         far_away_ego(world)
-        waited = False
+        fronts: dict[str, float] = {}
+        obliged: dict[str, float] = {}
+        slowest = math.inf
         for step in range(600):
             world.advance(step)
-            on_zebra = [w for w in world.walkers if w.on_zebra and w.phase is Phase.CROSSING]
-            for vehicle, person in itertools.product(world.vehicles, on_zebra):
-                apart_m = math.hypot(vehicle.x_m - person.x_m, vehicle.y_m - person.y_m)
-                assert apart_m > 1.0 or vehicle.speed_mps < 1.0, (vehicle.name, person.name, step)
-                waited = waited or (apart_m < 12.0 and vehicle.speed_mps < 0.1)
-        assert waited
+            for one in oncoming(world):
+                line_m = one.stops[0].station_m
+                front_m = one.station_m + 0.5 * one.length_m
+                before_m = fronts.get(one.name, front_m)
+                fronts[one.name] = front_m
+                if not any(has_priority(world, person) for person in world.walkers):
+                    obliged.pop(one.name, None)
+                    continue
+                room_m = line_m - front_m
+                obliged.setdefault(one.name, one.speed_mps**2 / (2.0 * max(room_m, 0.1)))
+                if 0.0 < room_m < 20.0:
+                    slowest = min(slowest, one.speed_mps / one.style.speed_mps)
+                if before_m <= line_m + 1.0 < front_m:
+                    # Nobody passes who could have stopped when a person came near.
+                    assert obliged[one.name] > one.style.braking_mps2, (one.name, seed, road_id, step)
+            for one, person in itertools.product(world.vehicles, world.walkers):
+                if person.on_zebra and person.phase is Phase.CROSSING:
+                    apart_m = math.hypot(one.x_m - person.x_m, one.y_m - person.y_m)
+                    assert apart_m > 1.0 or one.speed_mps < 1.0, (one.name, person.name, step)
+        assert slowest < 0.6
+
+
+def oncoming(world: UrbanWorld) -> list[Vehicle]:
+    return [one for one in world.vehicles if one.name.startswith("oncoming")]
+
+
+def has_priority(world: UrbanWorld, person: Walker) -> bool:
+    """Return whether oncoming drivers must stop for a person on the zebra: in their lane, or near and not leaving."""
+    if not person.on_zebra or person.phase is Phase.ALONG:
+        return False
+    lane_width_m = world.road.style.lane_width_m
+    if 0.0 < person.offset_m < lane_width_m:
+        return True
+    comes_from_left = math.sin(person.yaw_rad - world.road.centre.pose_at(person.station_m)[2]) < 0.0
+    if person.offset_m >= lane_width_m:
+        return person.offset_m < lane_width_m + NEAR_M and (
+            comes_from_left or person.phase is not Phase.CROSSING
+        )
+    return person.offset_m > -NEAR_M and not comes_from_left
 
 
 def test_pedestrians_reach_the_other_side_without_a_light() -> None:

@@ -241,7 +241,8 @@ class SketchPainter {
     const { camera, colours, episode } = this;
     this.scale = { x: width / camera.width_px, y: height / camera.height_px };
     this.size = { width, height };
-    const horizon = camera.horizon_px * this.scale.y;
+    this.tanPitch = Math.tan(episode.data.pitch_rad[sample] ?? 0);
+    const horizon = (camera.horizon_px + camera.focal_px * this.tanPitch) * this.scale.y;
     pen.fillStyle = colours.sky;
     pen.fillRect(0, 0, width, horizon);
     pen.fillStyle = colours.ground;
@@ -304,7 +305,10 @@ class SketchPainter {
     const { camera } = this;
     const away = Math.max(depth, camera.from_m);
     const px = camera.centre_x_px - (camera.focal_px * left) / away;
-    const py = camera.horizon_px + (camera.focal_px * (camera.height_m - height_m)) / away;
+    const level = (camera.height_m - height_m) / away;
+    // As in the simulator's camera, pitch moves rows alone.
+    const down = (level + this.tanPitch) / Math.max(1 - level * this.tanPitch, 0.1);
+    const py = camera.horizon_px + camera.focal_px * down;
     return [clamp(px, -FAR_PX, FAR_PX) * this.scale.x, clamp(py, -FAR_PX, FAR_PX) * this.scale.y];
   }
 

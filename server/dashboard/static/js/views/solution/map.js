@@ -12,6 +12,8 @@ const MOST_PX_PER_M = 60;
 const LEAST_PX_PER_M = 1;
 const TRAIL_SAMPLES = 1200;
 const LEAST_PERSON_PX = 3.5;
+const HIDDEN_ALPHA = 0.35;
+/** Opacity of road users that are hidden from the camera. */
 const LABEL_LINE_PX = 15;
 const SAME_PLACE_M = 0.3;
 
@@ -43,13 +45,14 @@ export function map(player, second = null) {
     zoom = factor ? zoom * factor : 1;
     sheet.redraw();
   };
+  const hasHidden = data.actors.some((actor) => actor.hidden.some(Boolean));
   const hasPerceived = data.perceived.first.at(-1) > 0;
   const node = h("div.replay-map", null, sheet,
     h("div.map-zoom", { role: "group", "aria-label": "Zoom" }, button("+", "Zoom in", () => zoomBy(ZOOM)),
       button("−", "Zoom out", () => zoomBy(1 / ZOOM)), button("1:1", "Reset zoom", () => zoomBy(0))));
   const keys = second === null ? [key("ego", "ego (car under test)")] : [[second.own, second.ownWords], [second.colour, second.words]]
     .map(([name, words]) => key(name.slice(2), words));
-  const legend = h("ul.legend.replay-legend", null, keys, second && key("outlined", "outline: the other drive at the same time"), key("vehicle", "vehicle"), key("pedestrian round", "person"), key("route line", "route of the ego"),
+  const legend = h("ul.legend.replay-legend", null, keys, second && key("outlined", "outline: the other drive at the same time"), key("vehicle", "vehicle"), key("pedestrian round", "person"), hasHidden && key("vehicle hidden", "hidden from the camera"), key("route line", "route of the ego"),
     hasPerceived && key("injected dashed", "perceived (crossed out: ghost)"));
   const switches = h("div.inline", null,
     hasPerceived && check("Perceived obstacles", true, (on) => (perceived = on)), check("Names", false, (on) => (names = on)));
@@ -139,8 +142,10 @@ export function map(player, second = null) {
   function drawActor(pen, actor, at, metresPerPx, labels) {
     const pose = episode.pose(actor, at);
     if (!pose) return;
+    if (actor.hidden[at.sample]) pen.globalAlpha = HIDDEN_ALPHA;
     if (actor.shape === "person") drawPerson(pen, data.shapes, pose, colours, metresPerPx);
     else drawCar(pen, car, pose, actor, colours, colours.vehicle, actor.brakes[at.sample]);
+    pen.globalAlpha = 1;
     if (names) labels.push({ x: pose.x, y: pose.y, above_m: actor.width_m / 2, words: actor.name, fill: colours.ink });
   }
 
