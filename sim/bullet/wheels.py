@@ -1,16 +1,18 @@
 """The ego of `fidelity: wheels`: a chassis on four sphere wheels, driven and braked by the physics engine.
 
 The car is described in URDF, which is generated here. Spheres touch the ground in one point, so grip is Coulomb
-friction at four loaded contacts, and load transfer, friction circle and locking follow from the contacts instead of
-formulas. All damping is set to zero: the engine's default for multibodies distorts braking by a factor of 1.4 to 2.5.
-Nothing but the ground touches the wheels; clearances to others are measured with boxes, as for the single-track
-model.
+friction at four loaded contacts, and load transfer and friction circle follow from the contacts instead of formulas.
+Anti-lock brakes and traction control limit the slip of each wheel; without them, a wheel with little load spins or
+locks, and its axle loses its grip for cornering. All damping is set to zero: the engine's default for multibodies
+distorts braking by a factor of 1.4 to 2.5. Nothing but the ground touches the wheels; clearances to others are
+measured with boxes, as for the bicycle model.
 """
 
 import atexit
 import math
 import shutil
 import tempfile
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -23,15 +25,17 @@ WHEEL_RADIUS_M = 0.32
 WHEEL_KG = 25.0
 KNUCKLE_KG = 2.0
 TRACK_M = 1.55
-SOLVER_ITERATIONS = 12
-FAST_RADPS = 1_000.0
-"""Wheels turn towards this speed when the car accelerates, so that the torque decides and not the speed."""
+SOLVER_ITERATIONS = 30
+SUBSTEP_S = 0.025
+"""Longest step of the engine. Steps of 10 ms with 12 iterations cost twice as much and are no closer to friction."""
+SLIP_MPS = 0.3
+"""Anti-lock brakes and traction control let no wheel slip by more than this."""
 STEER_TORQUE_NM = 20_000.0
 HOLD_BELOW_MPS = 0.03
-ABS_SHARE = 1.0
-"""Brakes use up to this share of each wheel's grip, so that the car can still be steered."""
 
 _FRONT, _REAR = ("front_left", "front_right"), ("rear_left", "rear_right")
+_POSITION_GAINS = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+_VELOCITY_GAINS = (1.0,) * 6
 
 
 class WheeledCar:
@@ -42,7 +46,7 @@ class WheeledCar:
         pose: x_m, y_m and yaw_rad at the start.
         speed_mps: Speed at the start.
         friction: Friction coefficient of the road.
-        model: Parameters of the car, the same as for the single-track model.
+        model: Parameters of the car, the same as for the bicycle model.
     """
 
     def __init__(
@@ -70,7 +74,9 @@ class WheeledCar:
         self._pitch = BodyPitch(model)
         self._commands = DelayLine(model.delay_s)
         self._drive_mps2 = 0.0
+        self._aside_mps = 0.0
         self._steps = 0
+        self._substeps = 1
         self._grade = 0.0
         self._make_ground()
         self._car = self._make_car(pose, speed_mps)
@@ -78,9 +84,8 @@ class WheeledCar:
             pybullet.getJointInfo(self._car, joint, physicsClientId=self._client)[1].decode(): joint
             for joint in range(pybullet.getNumJoints(self._car, physicsClientId=self._client))
         }
-        self._steering = [names[f"steer_{name}"] for name in _FRONT]
-        self._front = [names[f"spin_{name}"] for name in _FRONT]
-        self._rear = [names[f"spin_{name}"] for name in _REAR]
+        self._wheels = [names[f"spin_{name}"] for name in (*_FRONT, *_REAR)]
+        self._joints = [*(names[f"steer_{name}"] for name in _FRONT), *self._wheels]
         self._prepare(friction, speed_mps)
 
     def _make_ground(self) -> None:
@@ -129,11 +134,11 @@ class WheeledCar:
                 restitution=0.0,
                 physicsClientId=client,
             )
-        for joint in (*self._front, *self._rear):
+        for joint in self._wheels:
             pybullet.resetJointState(
                 self._car, joint, 0.0, speed_mps / WHEEL_RADIUS_M, physicsClientId=client
             )
-        self._turn((0.0,) * 4, (0.0,) * 4)
+        self._turn((0.0,) * 4, 0.0, 0.0)
 
     def set_grade(self, grade: float) -> None:
         """Set the local slope of the road: rise over run along the heading, positive uphill."""
@@ -154,10 +159,8 @@ class WheeledCar:
     def _drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
         """Drive with a command that takes effect now."""
         m, client = self.model, self._client
-        # Slope and resistance act on the mass of the car, so they are modelled as part of gravity.
-        along = GRAVITY_MPS2 * self._grade
-        if self.speed_mps > 0.1:
-            along += m.rolling_mps2 + m.drag_1pm * self.speed_mps * self.speed_mps
+        # Slope and drag act on the mass of the car, so they are modelled as part of gravity.
+        along = GRAVITY_MPS2 * self._grade + m.drag_1pm * self.speed_mps * self.speed_mps
         pybullet.setGravity(
             -along * math.cos(self.yaw_rad),
             -along * math.sin(self.yaw_rad),
@@ -168,12 +171,14 @@ class WheeledCar:
         most = m.steer_rate_radps * PHYSICS_STEP_S * steps
         self.steer_rad += min(max(steer_goal - self.steer_rad, -most), most)
         if steps != self._steps:
-            # One call makes all steps: a call costs more than a step.
+            # One call makes all steps.
             self._steps = steps
+            self._substeps = math.ceil(steps * PHYSICS_STEP_S / SUBSTEP_S - 1e-6)
             pybullet.setPhysicsEngineParameter(
-                fixedTimeStep=steps * PHYSICS_STEP_S, numSubSteps=steps, physicsClientId=client
+                fixedTimeStep=steps * PHYSICS_STEP_S, numSubSteps=self._substeps, physicsClientId=client
             )
-        self._actuate(self._mean_drive_mps2(accel_mps2, steps))
+        resistance = m.rolling_mps2 if self.speed_mps > 0.1 else 0.0
+        self._actuate(self._mean_drive_mps2(accel_mps2, steps) - resistance)
         before = self.speed_mps
         if before < HOLD_BELOW_MPS and self._drive_mps2 < 0.0:
             # The brakes hold the car; the contacts of the engine would let it creep.
@@ -200,42 +205,53 @@ class WheeledCar:
         return total / steps
 
     def _actuate(self, drive_mps2: float) -> None:
-        client, m = self._client, self.model
-        pybullet.setJointMotorControlArray(
-            self._car,
-            self._steering,
-            pybullet.POSITION_CONTROL,
-            targetPositions=(self.steer_rad, self.steer_rad),
-            forces=(STEER_TORQUE_NM, STEER_TORQUE_NM),
-            physicsClientId=client,
-        )
-        force_n = drive_mps2 * m.mass_kg
-        if (force_n >= 0.0 and self.speed_mps >= HOLD_BELOW_MPS) or drive_mps2 > HOLD_BELOW_MPS:
-            torque = 0.5 * force_n * WHEEL_RADIUS_M
-            self._turn((FAST_RADPS, FAST_RADPS, 0.0, 0.0), (torque, torque, 0.0, 0.0))
+        """Steer, and drive or brake the wheels, none of which slips by more than `SLIP_MPS`."""
+        m = self.model
+        force_nm = abs(drive_mps2) * m.mass_kg * WHEEL_RADIUS_M
+        if (drive_mps2 >= 0.0 and self.speed_mps >= HOLD_BELOW_MPS) or drive_mps2 > HOLD_BELOW_MPS:
+            slip_mps = drive_mps2 * self._steps * PHYSICS_STEP_S + SLIP_MPS
+            self._turn(
+                [(rolls_mps + slip_mps) / WHEEL_RADIUS_M for rolls_mps in self._rolling_mps()],
+                0.5 * force_nm,
+                0.0,
+            )
             return
-        half_load_n = 0.25 * m.mass_kg * GRAVITY_MPS2
-        shift_n = 0.5 * m.gravity_height_m / m.wheelbase_m * m.mass_kg * self.accel_mps2
-        front_n = ABS_SHARE * self._friction * (half_load_n - shift_n)
-        rear_n = ABS_SHARE * self._friction * (half_load_n + shift_n)
-        wanted_n = -force_n
-        share = min(wanted_n / max(2.0 * (front_n + rear_n), 1.0), 1.0)
-        if self.speed_mps < HOLD_BELOW_MPS:
-            share = 1.0
-        front, rear = share * front_n * WHEEL_RADIUS_M, share * rear_n * WHEEL_RADIUS_M
-        self._turn((0.0,) * 4, (front, front, rear, rear))
+        # The brakes act on each axle by its load.
+        rear = 0.5 + m.gravity_height_m / m.wheelbase_m * self.accel_mps2 / GRAVITY_MPS2
+        hold = self.speed_mps < HOLD_BELOW_MPS
+        if hold:
+            force_nm = self._friction * m.mass_kg * GRAVITY_MPS2 * WHEEL_RADIUS_M
+        slip_mps = max(drive_mps2, -self._friction * GRAVITY_MPS2) * self._steps * PHYSICS_STEP_S - SLIP_MPS
+        targets = [max(rolls_mps + slip_mps, 0.0) / WHEEL_RADIUS_M for rolls_mps in self._rolling_mps()]
+        self._turn(targets, 0.5 * (1.0 - rear) * force_nm, 0.5 * rear * force_nm)
 
-    def _turn(self, speeds_radps: tuple[float, ...], torques_nm: tuple[float, ...]) -> None:
-        """Turn the wheels towards speeds with at most these torques. The engine keeps this for all steps of a call.
+    def _rolling_mps(self) -> tuple[float, float, float, float]:
+        """Return the speed at which each wheel would roll without slip."""
+        across_mps = 0.5 * TRACK_M * self.yaw_rate_radps
+        front_mps = self._aside_mps + 0.5 * self.model.wheelbase_m * self.yaw_rate_radps
+        cos_steer, sin_steer = math.cos(self.steer_rad), math.sin(self.steer_rad)
+        left_mps, right_mps = self.speed_mps - across_mps, self.speed_mps + across_mps
+        aside_mps = front_mps * sin_steer
+        return left_mps * cos_steer + aside_mps, right_mps * cos_steer + aside_mps, left_mps, right_mps
 
-        It turns a torque into an impulse for the time of the whole call, and applies that in each step.
+    def _turn(self, wheels_radps: Sequence[float], front_nm: float, rear_nm: float) -> None:
+        """Steer, and turn the wheels towards speeds with at most these torques.
+
+        The engine keeps this for all steps of a call. It turns a torque into an impulse for the time of the whole
+        call, and applies that in each step.
         """
+        front_nm, rear_nm = front_nm / self._substeps, rear_nm / self._substeps
+        steer_rad = self.steer_rad
+        # Position gains of 0 make the wheels follow speeds alone; 1 turns the knuckles within a step.
         pybullet.setJointMotorControlArray(
             self._car,
-            (*self._front, *self._rear),
-            pybullet.VELOCITY_CONTROL,
-            targetVelocities=speeds_radps,
-            forces=[torque_nm / max(self._steps, 1) for torque_nm in torques_nm],
+            self._joints,
+            pybullet.POSITION_CONTROL,
+            targetPositions=(steer_rad, steer_rad, 0.0, 0.0, 0.0, 0.0),
+            targetVelocities=(0.0, 0.0, *wheels_radps),
+            forces=(STEER_TORQUE_NM, STEER_TORQUE_NM, front_nm, front_nm, rear_nm, rear_nm),
+            positionGains=_POSITION_GAINS,
+            velocityGains=_VELOCITY_GAINS,
             physicsClientId=self._client,
         )
 
@@ -245,10 +261,12 @@ class WheeledCar:
         (vx, vy, _), (_, _, yaw_rate) = pybullet.getBaseVelocity(self._car, physicsClientId=client)
         qx, qy, qz, qw = turn
         heading = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
-        # Yaw continues beyond half a turn, as in the single-track model.
+        # Yaw continues beyond half a turn, as in the bicycle model.
         self.yaw_rad += (heading - self.yaw_rad + math.pi) % (2.0 * math.pi) - math.pi
         self.x_m, self.y_m, self.yaw_rate_radps = x_m, y_m, yaw_rate
-        self.speed_mps = max(vx * math.cos(self.yaw_rad) + vy * math.sin(self.yaw_rad), 0.0)
+        cos_yaw, sin_yaw = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        self.speed_mps = max(vx * cos_yaw + vy * sin_yaw, 0.0)
+        self._aside_mps = vy * cos_yaw - vx * sin_yaw
         self.accel_mps2 = (self.speed_mps - speed_before_mps) / lasted_s
 
 

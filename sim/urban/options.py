@@ -12,7 +12,7 @@ from brink.sim.guard.option import OPTION as GUARD
 
 BICYCLE, WHEELS = "bicycle", "wheels"
 FIDELITIES: Final = (BICYCLE, WHEELS)
-"""Motion model of the ego: single-track, or four wheels in the physics engine."""
+"""Motion model of the ego: kinematic bicycle with friction limits, or four wheels in the physics engine."""
 MAX_LATENCY_S: Final = 1.0
 CAMERA_OPTIONS: Final = ("latency_s", "pitch", "least_visible")
 """Options of every drive with a camera, also of encounters."""

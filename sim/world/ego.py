@@ -1,12 +1,13 @@
-"""The ego's motion: a single-track model with friction circle, load transfer, grade, brake and engine limits.
+"""The ego's motion: a kinematic bicycle model with friction limits, load transfer, grade, brake and engine limits.
 
-Integrated at 100 Hz in plain floats. The reference point is the centre of the car, halfway between the axles. Each
-axle transmits at most friction times its load; cornering reduces what is left for braking. Beyond the grip of an axle
-the car understeers and brakes less. Slopes and air drag act on the body, not through the tyres, so a car that brakes
-uphill slows down by more than friction times gravity.
+Both wheels of an axle are one, and tyres do not slip sideways: the wheels move where they point. Grip enters only
+as a limit: each axle transmits at most friction times its load, and cornering reduces what is left for braking.
+Beyond that limit the car understeers and brakes less; it never oversteers or spins. Integrated at 100 Hz in plain
+floats. The reference point is the centre of the car, halfway between the axles. Slopes and air drag act on the
+body, not through the tyres, so a car that brakes uphill slows down by more than friction times gravity.
 
-Commands take effect with the delay, the rate and the lag of a passenger car. From the command, full braking on a dry
-road builds up to three quarters in 0.36 s; Directive 71/320/EEC allows passenger cars no more than that, and UN
+Commands take effect with the delay, the rate and the lag of a passenger car. From the command, full braking on a
+dry road builds up to three quarters in 0.36 s; Directive 71/320/EEC allows passenger cars no more than that, and UN
 Regulation No. 13-H 0.6 s from the moment at which the pedal moves. An electric power steering turns the steering
 wheel by up to about 500 degrees per second, which is 0.6 rad/s at the road wheels.
 
@@ -172,7 +173,7 @@ class MakeEgo(Protocol):
 
 
 class EgoCar:
-    """The ego as a single-track model. Mutable: create a new one for each episode.
+    """The ego as a kinematic bicycle model with friction limits. Mutable: create a new one for each episode.
 
     Args:
         pose: x_m, y_m and yaw_rad at the start.

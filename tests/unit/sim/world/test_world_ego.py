@@ -1,6 +1,8 @@
 """Both motion models of the ego against the laws of friction, and against each other."""
 
+import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -13,6 +15,7 @@ from brink.sim.episode import EpisodeSpec
 from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDrive
 from brink.sim.world.ego import EGO_CAR, GRAVITY_MPS2, PHYSICS_STEP_S, PROMPT_CAR, CarModel, EgoCar, EgoMotion
+from brink.sim.world.world import EGO_STEPS
 
 FULL_BRAKES = -EGO_CAR.brake_mps2
 
@@ -90,34 +93,54 @@ def car(fidelity: str, speed_mps: float, friction: float, model: CarModel = PROM
     return WheeledCar(engine, (0.0, 0.0, 0.0), speed_mps, friction=friction, model=model)
 
 
-def braking_distance_m(fidelity: str, speed_mps: float, friction: float) -> float:
+def braking_distance_m(fidelity: str, speed_mps: float, friction: float, steps: int) -> float:
     one = car(fidelity, speed_mps, friction)
     for _ in range(1500):
         if one.speed_mps < 0.02:
             return one.x_m
-        one.drive(-EGO_CAR.brake_mps2, 0.0, 1)
+        one.drive(-EGO_CAR.brake_mps2, 0.0, steps)
     pytest.fail("the car never stopped")
 
 
-def cornering_mps2(fidelity: str, speed_mps: float, friction: float) -> float:
-    """Return the largest lateral acceleration, averaged over a second of steady turning."""
+def cornering_mps2(fidelity: str, speed_mps: float, friction: float, steps: int) -> float:
+    """Return the largest lateral acceleration of the path, averaged over a second of steady turning."""
     best = 0.0
     for steer_rad in (0.08, 0.12, 0.16):
         one = car(fidelity, speed_mps, friction)
-        sideways = []
-        for step in range(200):
-            one.drive(0.2, steer_rad, 1)  # accelerating costs grip, but this costs hardly any
-            if step >= 100:
-                sideways.append(abs(one.yaw_rate_radps) * one.speed_mps)
+        sideways, points = [], [(one.x_m, one.y_m)]
+        for _ in range(200 // steps):
+            one.drive(0.2, steer_rad, steps)  # accelerating costs grip, but this costs hardly any
+            points.append((one.x_m, one.y_m))
+        for before, here, after in itertools.islice(triples(points), 100 // steps, None):
+            course_rad, next_rad = direction_rad(before, here), direction_rad(here, after)
+            turned_rad = math.remainder(next_rad - course_rad, math.tau)
+            sideways.append(abs(turned_rad) * math.dist(here, after) / (steps * PHYSICS_STEP_S) ** 2)
         best = max(best, sum(sideways) / len(sideways))
     return best
 
 
+def direction_rad(one: tuple[float, float], other: tuple[float, float]) -> float:
+    return math.atan2(other[1] - one[1], other[0] - one[0])
+
+
+def triples(
+    points: list[tuple[float, float]],
+) -> Iterator[tuple[tuple[float, float], tuple[float, float], tuple[float, float]]]:
+    return zip(points, points[1:], points[2:], strict=False)
+
+
+STEPS = (1, EGO_STEPS)
+"""Steps of 10 ms in a call; an episode makes `EGO_STEPS`, for which the engine of the wheels takes larger ones."""
+
+
+@pytest.mark.parametrize("steps", STEPS)
 @pytest.mark.parametrize("friction", [0.9, 0.6, 0.4])
 @pytest.mark.parametrize("speed_mps", [15.0, 20.0])
-def test_both_models_brake_within_the_distance_friction_allows(speed_mps: float, friction: float) -> None:
+def test_both_models_brake_within_the_distance_friction_allows(
+    speed_mps: float, friction: float, steps: int
+) -> None:
     expected_m = speed_mps**2 / (2 * friction * GRAVITY_MPS2)
-    bicycle, wheels = (braking_distance_m(fidelity, speed_mps, friction) for fidelity in FIDELITIES)
+    bicycle, wheels = (braking_distance_m(fidelity, speed_mps, friction, steps) for fidelity in FIDELITIES)
     assert bicycle == pytest.approx(expected_m, rel=0.05)
     assert wheels == pytest.approx(expected_m, rel=0.05)
     assert wheels == pytest.approx(bicycle, rel=0.05)
@@ -168,21 +191,45 @@ def test_the_body_pitches_with_its_acceleration_and_swings_back() -> None:
     assert min(pitches) < 1.1 * settled, "a damped oscillator overshoots"
 
 
+@pytest.mark.parametrize("steps", STEPS)
 @pytest.mark.parametrize("friction", [0.9, 0.6, 0.4])
-def test_both_models_corner_as_friction_allows(friction: float) -> None:
-    bicycle, wheels = (cornering_mps2(fidelity, 15.0, friction) for fidelity in FIDELITIES)
+def test_both_models_corner_as_friction_allows(friction: float, steps: int) -> None:
+    bicycle, wheels = (cornering_mps2(fidelity, 15.0, friction, steps) for fidelity in FIDELITIES)
     assert bicycle == pytest.approx(friction * GRAVITY_MPS2, rel=0.05)
     assert wheels == pytest.approx(friction * GRAVITY_MPS2, rel=0.05)
     assert wheels == pytest.approx(bicycle, rel=0.05)
 
 
+@pytest.mark.parametrize("steps", STEPS)
 @pytest.mark.parametrize("fidelity", FIDELITIES)
-def test_both_models_follow_the_steering_angle_in_a_gentle_turn(fidelity: str) -> None:
+def test_both_models_follow_the_steering_angle_in_a_gentle_turn(fidelity: str, steps: int) -> None:
     one = car(fidelity, 5.0, 0.9)
-    for _ in range(200):
-        one.drive(0.15, 0.1, 1)
+    for _ in range(200 // steps):
+        one.drive(0.15, 0.1, steps)
     expected = one.speed_mps * math.tan(0.1) / EGO_CAR.wheelbase_m
-    assert one.yaw_rate_radps == pytest.approx(expected, rel=0.06)
+    assert one.yaw_rate_radps == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("fidelity", FIDELITIES)
+def test_both_models_turn_as_soon_as_the_steering_does(fidelity: str) -> None:
+    one = car(fidelity, 5.0, 0.9)
+    one.drive(0.15, 0.05, EGO_STEPS)
+    for _ in range(2):
+        one.drive(0.15, 0.05, EGO_STEPS)
+    expected = one.speed_mps * math.tan(0.05) / EGO_CAR.wheelbase_m
+    assert one.yaw_rate_radps == pytest.approx(expected, rel=0.05)
+
+
+# Without traction control, a front wheel on wheels span and the car turned at .40 of the rate.
+@pytest.mark.parametrize("fidelity", FIDELITIES)
+def test_both_models_stay_on_course_when_they_accelerate_out_of_a_bend_on_a_wet_road(fidelity: str) -> None:
+    one = car(fidelity, 3.0, 0.4, EGO_CAR)
+    for _ in range(40):
+        one.drive(0.25, 0.3, EGO_STEPS)
+    for _ in range(20):
+        one.drive(2.5, 0.15, EGO_STEPS)
+    expected = one.speed_mps * math.tan(0.15) / EGO_CAR.wheelbase_m
+    assert one.yaw_rate_radps == pytest.approx(expected, rel=0.2)
 
 
 @pytest.mark.parametrize("fidelity", FIDELITIES)
