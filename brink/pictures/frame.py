@@ -412,8 +412,10 @@ class _Panel:
         elif key == "person":
             draw.ellipse((x + 11 * unit, y - 4 * unit, x + 19 * unit, y + 4 * unit), fill=PEDESTRIAN)
         elif key == "hidden":
-            car = (left, y - 4.5 * unit, right, y + 4.5 * unit)
-            draw.rounded_rectangle(car, radius=3 * unit, fill=lighter(VEHICLE, HIDDEN_WHITE))
+            low, high = y - 4.5 * unit, y + 4.5 * unit
+            draw.rectangle((left, low, right, high), fill=lighter(VEHICLE, HIDDEN_WHITE))
+            outline = np.array([(left, low), (right, low), (right, high), (left, high)])
+            draw_dashed(draw, outline, VEHICLE, dash=3 * unit, gap=3 * unit, width=1)
         elif key == "box":
             draw.rectangle((left, top, right, bottom), outline=SEEN, width=2)
         else:

@@ -60,8 +60,8 @@ from brink.sim.trace import FloatArray, Surface, Trace
 
 ROUTE_WIDTH_M: Final = 0.3
 LEAST_PERSON_PX: Final = 3.0
-HIDDEN_WHITE: Final = 0.65
-"""Share of white in the colour of a road user who is hidden from the camera."""
+HIDDEN_WHITE: Final = 0.85
+"""Share of white in the colour of a road user who is hidden from the camera; lighter than any road."""
 DOTS_M: Final = 1.0
 """Distance between the dots of the path ahead."""
 _LEAST_LEADER_PX: Final = 7.0

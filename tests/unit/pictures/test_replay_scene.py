@@ -13,6 +13,7 @@ from support.traces import make_trace, ragged
 from brink.pictures import ReplayError
 from brink.pictures.camera_view import SketchView
 from brink.pictures.frame import FramePainter
+from brink.pictures.map_view import HIDDEN_WHITE
 from brink.pictures.scene import (
     EpisodeScene,
     closest_points,
@@ -24,6 +25,7 @@ from brink.pictures.scene import (
 )
 from brink.pictures.sheets import still
 from brink.pictures.story import measured_words, story_of
+from brink.pictures.style import FILLS, VEHICLE, lighter
 from brink.sim.episode import Json
 from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import PERCEIVED_COLUMNS, VIOLATED_AT_S, Event, Surface, Trace
@@ -140,6 +142,10 @@ def test_road_users_of_whom_too_little_is_visible_are_hidden() -> None:
     assert not scene.actors_hidden[1].any()
     strict = replace(seen, about={"spec": {"options": {"least_visible": 0.5}}})
     assert EpisodeScene.of(strict).actors_hidden[0].tolist() == [False, True, True, False]
+
+
+def test_a_hidden_car_is_lighter_than_the_road() -> None:
+    assert min(lighter(VEHICLE, HIDDEN_WHITE)) > max(FILLS["road"]) + 20
 
 
 def test_the_pitch_is_zero_unless_the_trace_tells_it() -> None:
