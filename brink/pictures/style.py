@@ -102,6 +102,12 @@ def lighter(colour: Rgb, share: float) -> Rgb:
 LIGHTS: Final[dict[str, Rgb]] = {"red": (204, 32, 32), "amber": (240, 170, 20), "green": (0, 158, 105)}
 LAMP_OFF: Final[Rgb] = (78, 84, 90)
 
+TELLING: Final[tuple[Rgb, ...]] = (
+    INK, EGO, EGO_TRAIL, ROUTE, GHOST, SEEN, VIOLATION, OTHER_VIOLATED, VEHICLE, PEDESTRIAN, BRAKE,
+    *PICTURE_COLOURS.values(), *LIGHTS.values(), *PLAN_MODES.values(), *GUARD_DOES.values(), *FILLS.values(),
+)  # fmt: skip
+"""Colours that mean something, and so must not change in a film with few colours."""
+
 
 def hexadecimal(colour: Rgb) -> str:
     """Return a colour in the hexadecimal form that matplotlib reads, such as ``#d55e00``."""

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Iterator
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeAlias
 
@@ -10,6 +11,8 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+
+from brink.pictures.style import TELLING
 
 ProgressCallback: TypeAlias = Callable[[int, int], None]
 """Called with the number of frames drawn and the total."""
@@ -106,13 +109,16 @@ def write_gif(painter: Painter, path: Path, on_progress: ProgressCallback | None
 
 
 def _film_palette(painter: Painter) -> Image.Image:
-    """Return one palette, made from the key samples, so that colours do not flicker."""
+    """Return one palette, so that colours do not flicker: the commonest of the key samples, and those that tell."""
     pictures = [painter.frame(sample) for sample in painter.key_samples]
     width, height = painter.size
     sheet = Image.new("RGB", (width, height * len(pictures)))
     for index, picture in enumerate(pictures):
         sheet.paste(picture, (0, index * height))
-    return sheet.quantize(colors=GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
+    common = sheet.quantize(colors=GIF_COLOURS, method=Image.Quantize.MEDIANCUT).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*common[: 3 * GIF_COLOURS], *chain.from_iterable(TELLING)])
+    return palette
 
 
 def _frames(painter: Painter, on_progress: ProgressCallback | None) -> Iterator[Image.Image]:

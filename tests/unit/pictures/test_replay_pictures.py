@@ -3,21 +3,22 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import ClassVar
 
 import av
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from PIL import Image, ImageSequence
+from PIL import Image, ImageDraw, ImageSequence
 from support.traces import make_trace
 
 from brink.pictures import ReplayError, render, render_bytes
 from brink.pictures.frame import FramePainter, Layout
 from brink.pictures.map_view import Viewport
-from brink.pictures.style import GHOST, VIOLATION, Rgb
+from brink.pictures.style import GHOST, SEEN_ON_PICTURE, VIOLATION, Rgb
 from brink.pictures.timeline import timeline_figure, timeline_image
-from brink.pictures.video import HOLD_S, film_samples
+from brink.pictures.video import HOLD_S, film_samples, write_gif
 from brink.sim.trace import Trace
 
 SMALL = (640, 360)
@@ -145,6 +146,27 @@ def test_gif_plays_every_sample_in_real_time(tmp_path: Path, short: Trace) -> No
     assert sum(lengths) == pytest.approx(100 * (SHORT + HELD))
     expected = np.asarray(FramePainter(short, size=SMALL).frame(0)).astype(int)
     assert np.abs(first - expected).mean() < 4
+
+
+class Photographs:
+    """A film of photographs on which a box is drawn."""
+
+    size = SMALL
+    time_s = np.array([0.0, 0.1])
+    key_samples: ClassVar[list[int]] = [0]
+
+    def frame(self, sample: int) -> Image.Image:
+        rows, columns = np.mgrid[0 : SMALL[1], 0 : SMALL[0]]
+        photograph = np.stack([columns % 256, rows % 256, (columns + rows) % 256], axis=2).astype(np.uint8)
+        image = Image.fromarray(photograph)
+        ImageDraw.Draw(image).rectangle((20, 20, 60, 90), outline=SEEN_ON_PICTURE)
+        return image
+
+
+def test_lines_on_photographs_keep_their_colour_in_a_gif(tmp_path: Path) -> None:
+    write_gif(Photographs(), tmp_path / "a.gif")
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.convert("RGB").getpixel((20, 50)) == SEEN_ON_PICTURE
 
 
 def test_mp4_plays_every_sample_in_real_time(tmp_path: Path, short: Trace) -> None:
