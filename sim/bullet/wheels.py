@@ -159,17 +159,23 @@ class WheeledCar:
     def _drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
         """Drive with a command that takes effect now."""
         m, client = self.model, self._client
-        # Slope and drag act on the mass of the car, so they are modelled as part of gravity.
-        along = GRAVITY_MPS2 * self._grade + m.drag_1pm * self.speed_mps * self.speed_mps
-        pybullet.setGravity(
-            -along * math.cos(self.yaw_rad),
-            -along * math.sin(self.yaw_rad),
-            -GRAVITY_MPS2,
-            physicsClientId=client,
-        )
         steer_goal = min(max(steer_rad, -m.steer_limit_rad), m.steer_limit_rad)
         most = m.steer_rate_radps * PHYSICS_STEP_S * steps
         self.steer_rad += min(max(steer_goal - self.steer_rad, -most), most)
+        # Slope and drag act on the mass of the car, so they are modelled as part of gravity.
+        along_mps2 = GRAVITY_MPS2 * self._grade + m.drag_1pm * self.speed_mps * self.speed_mps
+        drive_mps2 = self._mean_drive_mps2(accel_mps2, steps) - m.rolling_mps2
+        before = self.speed_mps
+        if before < HOLD_BELOW_MPS and drive_mps2 <= along_mps2:
+            # As in the bicycle model, the car never rolls backwards; the contacts of the engine would let it creep.
+            self.speed_mps = self.accel_mps2 = self.yaw_rate_radps = self._aside_mps = 0.0
+            return
+        pybullet.setGravity(
+            -along_mps2 * math.cos(self.yaw_rad),
+            -along_mps2 * math.sin(self.yaw_rad),
+            -GRAVITY_MPS2,
+            physicsClientId=client,
+        )
         if steps != self._steps:
             # One call makes all steps.
             self._steps = steps
@@ -177,13 +183,7 @@ class WheeledCar:
             pybullet.setPhysicsEngineParameter(
                 fixedTimeStep=steps * PHYSICS_STEP_S, numSubSteps=self._substeps, physicsClientId=client
             )
-        resistance = m.rolling_mps2 if self.speed_mps > 0.1 else 0.0
-        self._actuate(self._mean_drive_mps2(accel_mps2, steps) - resistance)
-        before = self.speed_mps
-        if before < HOLD_BELOW_MPS and self._drive_mps2 < 0.0:
-            # The brakes hold the car; the contacts of the engine would let it creep.
-            self.speed_mps = self.accel_mps2 = self.yaw_rate_radps = 0.0
-            return
+        self._actuate(drive_mps2)
         pybullet.stepSimulation(physicsClientId=client)
         self._read(before, steps * PHYSICS_STEP_S)
 
@@ -208,22 +208,17 @@ class WheeledCar:
         """Steer, and drive or brake the wheels, none of which slips by more than `SLIP_MPS`."""
         m = self.model
         force_nm = abs(drive_mps2) * m.mass_kg * WHEEL_RADIUS_M
-        if (drive_mps2 >= 0.0 and self.speed_mps >= HOLD_BELOW_MPS) or drive_mps2 > HOLD_BELOW_MPS:
-            slip_mps = drive_mps2 * self._steps * PHYSICS_STEP_S + SLIP_MPS
-            self._turn(
-                [(rolls_mps + slip_mps) / WHEEL_RADIUS_M for rolls_mps in self._rolling_mps()],
-                0.5 * force_nm,
-                0.0,
-            )
+        lasts_s = self._steps * PHYSICS_STEP_S
+        if drive_mps2 >= 0.0:
+            slip_mps = drive_mps2 * lasts_s + SLIP_MPS
+            wheels_radps = [(rolls_mps + slip_mps) / WHEEL_RADIUS_M for rolls_mps in self._rolling_mps()]
+            self._turn(wheels_radps, 0.5 * force_nm, 0.0)
             return
+        slip_mps = max(drive_mps2, -self._friction * GRAVITY_MPS2) * lasts_s - SLIP_MPS
+        wheels_radps = [max(rolls_mps + slip_mps, 0.0) / WHEEL_RADIUS_M for rolls_mps in self._rolling_mps()]
         # The brakes act on each axle by its load.
         rear = 0.5 + m.gravity_height_m / m.wheelbase_m * self.accel_mps2 / GRAVITY_MPS2
-        hold = self.speed_mps < HOLD_BELOW_MPS
-        if hold:
-            force_nm = self._friction * m.mass_kg * GRAVITY_MPS2 * WHEEL_RADIUS_M
-        slip_mps = max(drive_mps2, -self._friction * GRAVITY_MPS2) * self._steps * PHYSICS_STEP_S - SLIP_MPS
-        targets = [max(rolls_mps + slip_mps, 0.0) / WHEEL_RADIUS_M for rolls_mps in self._rolling_mps()]
-        self._turn(targets, 0.5 * (1.0 - rear) * force_nm, 0.5 * rear * force_nm)
+        self._turn(wheels_radps, 0.5 * (1.0 - rear) * force_nm, 0.5 * rear * force_nm)
 
     def _rolling_mps(self) -> tuple[float, float, float, float]:
         """Return the speed at which each wheel would roll without slip."""

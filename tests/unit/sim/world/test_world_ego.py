@@ -232,12 +232,24 @@ def test_both_models_stay_on_course_when_they_accelerate_out_of_a_bend_on_a_wet_
     assert one.yaw_rate_radps == pytest.approx(expected, rel=0.2)
 
 
+@pytest.mark.parametrize("accel_mps2", [-1.0, 0.0, 0.3])
 @pytest.mark.parametrize("fidelity", FIDELITIES)
-def test_both_models_hold_on_a_hill(fidelity: str) -> None:
+def test_both_models_hold_on_a_hill(fidelity: str, accel_mps2: float) -> None:
     one = car(fidelity, 0.0, 0.6)
     one.set_grade(0.06)
-    one.drive(-1.0, 0.0, 300)
-    assert math.hypot(one.x_m, one.y_m) < 0.02
+    for _ in range(60):
+        one.drive(accel_mps2, 0.0, EGO_STEPS)
+    assert (one.x_m, one.y_m, one.speed_mps) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("accel_mps2", [1.0, 3.0])
+def test_both_models_start_alike_on_a_hill(accel_mps2: float) -> None:
+    bicycle, wheels = (car(fidelity, 0.0, 0.6, EGO_CAR) for fidelity in FIDELITIES)
+    for one in (bicycle, wheels):
+        one.set_grade(0.06)
+        for _ in range(60):
+            one.drive(accel_mps2, 0.0, EGO_STEPS)
+    assert wheels.x_m == pytest.approx(bicycle.x_m, rel=0.05)
 
 
 def test_an_episode_is_repeatable_and_similar_at_both_fidelities() -> None:
