@@ -188,12 +188,13 @@ class InTheLoop:
             camera=camera,
         )
         observer = Observer(world, camera)
-        meter = self.meter = ErrorMeter(camera)
+        meter = self.meter = ErrorMeter(camera, in_lane=observer.is_in_lane)
 
         def detects(time_s: float) -> tuple[Box, ...]:
             found = eyes.boxes(time_s)
             level = camera.all_tilted(found, -world.ego.pitch_rad)
-            meter.see(time_s, observer.look(time_s).true_boxes(), [ReportedBox(box) for box in level])
+            truth = observer.look(time_s).true_boxes()
+            meter.see(time_s, truth, [ReportedBox(box) for box in level], parked=observer.parked_boxes())
             return found
 
         return detects

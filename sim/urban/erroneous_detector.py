@@ -21,8 +21,9 @@ from brink.sim.urban.detection_errors import (
     Onset,
     Target,
 )
-from brink.sim.urban.error_meter import TrueBox
+from brink.sim.urban.error_meter import HALF_LANE_M, TrueBox
 from brink.sim.world.pedestrians import PERSON_HEIGHT_M, PERSON_LENGTH_M, PERSON_WIDTH_M, Phase, Walker
+from brink.sim.world.scenery import PARKED, fixtures
 from brink.sim.world.vehicle import CAR
 from brink.sim.world.world import World, bodies_of, screens_of
 
@@ -88,6 +89,13 @@ class Observer:
         self._station_m = 0.0
         self._speeds_mps: dict[str, float] = {}
         self._were_crossing = {walker.name for walker in world.walkers if _crosses(walker)}
+        self._parked = [
+            Solid(
+                ObstacleLabel.VEHICLE, one.x_m, one.y_m, one.yaw_rad, one.length_m, one.width_m, one.height_m
+            )
+            for one in fixtures(world.road)
+            if one.kind == PARKED
+        ]
 
     def look(self, time_s: float) -> "Scene":
         """Return the scene at a perception step; called once for each, in order."""
@@ -95,7 +103,8 @@ class Observer:
         ego = world.ego
         bodies = bodies_of(world)
         self._station_m, _ = world.route.line.project(ego.x_m, ego.y_m, self._station_m)
-        sights = self._camera.look(ego.x_m, ego.y_m, ego.yaw_rad, bodies, screens_of(world.road))
+        sights = self._camera.sights(ego.x_m, ego.y_m, ego.yaw_rad, bodies, screens_of(world.road))
+        least = self._camera.least_visible
         speeds = {vehicle.name: vehicle.speed_mps for vehicle in world.vehicles}
         braking = {
             index
@@ -118,10 +127,33 @@ class Observer:
             world=world,
             station_m=self._station_m,
             bodies=bodies,
-            sights=sights,
+            sights=[sight for sight in sights if sight.visible >= least],
+            hidden=[sight for sight in sights if sight.visible < least],
             braking=frozenset(braking),
             stepped_out=min(stepped_out)[1] if stepped_out else None,
         )
+
+    def is_in_lane(self, box: Box) -> bool:
+        """Return whether a box of a level camera stands in the ego's lane, in the scene that was looked at last."""
+        camera, ego, line = self._camera, self._world.ego, self._world.route.line
+        depth_m = camera.ground_depth_m(box.y_max_px)
+        if depth_m is None:
+            return False
+        ahead_m = camera.forward_m + depth_m
+        left_m = camera.left_m(0.5 * (box.x_min_px + box.x_max_px), depth_m)
+        cos_yaw, sin_yaw = math.cos(ego.yaw_rad), math.sin(ego.yaw_rad)
+        _, offset_m = line.project(
+            ego.x_m + ahead_m * cos_yaw - left_m * sin_yaw,
+            ego.y_m + ahead_m * sin_yaw + left_m * cos_yaw,
+            self._station_m + ahead_m,
+        )
+        return abs(offset_m) < HALF_LANE_M
+
+    def parked_boxes(self) -> list[Box]:
+        """Return the boxes of parked cars in the image of a level camera, hidden or not."""
+        ego = self._world.ego
+        seen = (self._camera.project(ego.x_m, ego.y_m, ego.yaw_rad, body) for body in self._parked)
+        return [one[0] for one in seen if one is not None]
 
     def _ahead_m(self, body: Solid) -> float:
         ego = self._world.ego
@@ -142,6 +174,7 @@ class Scene:
         station_m: Station of the ego on its route.
         bodies: All bodies around the ego.
         sights: The visible ones, nearest first.
+        hidden: Those of which too little is visible, nearest first.
         braking: Numbers of the bodies that brake.
         stepped_out: Number of the nearest pedestrian who has just stepped onto the road ahead.
     """
@@ -151,6 +184,7 @@ class Scene:
     station_m: float
     bodies: Sequence[Solid]
     sights: Sequence[Sighting]
+    hidden: Sequence[Sighting]
     braking: frozenset[int]
     stepped_out: int | None
 
@@ -186,11 +220,14 @@ class Scene:
         return found
 
     def true_boxes(self) -> list[TrueBox]:
-        """Return the boxes of all visible bodies, nearest first, each with its relation to the ego."""
+        """Return the boxes of all bodies in the image, the visible ones first, each with its relation to the ego."""
         targets = {self.lead(), self.pedestrian()}
         return [
-            TrueBox(sight.body, sight.box, self.kind(self.bodies[sight.body]), sight.body in targets)
-            for sight in self.sights
+            TrueBox(
+                sight.body, sight.box, self.kind(self.bodies[sight.body]), sight.body in targets, is_visible
+            )
+            for sights, is_visible in ((self.sights, True), (self.hidden, False))
+            for sight in sights
         ]
 
     def pedestrian(self) -> int | None:

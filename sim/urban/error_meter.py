@@ -201,6 +201,7 @@ class ErrorMeter:
         step_s: Time between images.
         is_excerpt: Whether the images were cut out of a longer drive, so that what is there in the first image may
             have been in sight before.
+        in_lane: Returns whether a box stands in the ego's lane; by default the lane is taken to lead straight ahead.
 
     Attributes:
         samples: All true boxes, in the order of their images.
@@ -208,11 +209,17 @@ class ErrorMeter:
     """
 
     def __init__(
-        self, camera: Camera, step_s: float = PERCEPTION_STEP_S, *, is_excerpt: bool = False
+        self,
+        camera: Camera,
+        step_s: float = PERCEPTION_STEP_S,
+        *,
+        is_excerpt: bool = False,
+        in_lane: Callable[[Box], bool] | None = None,
     ) -> None:
         self._camera = camera
         self._step_s = step_s
         self._is_excerpt = is_excerpt
+        self._in_lane = in_lane
         self.samples: list[Sample] = []
         self.ghosts: list[tuple[float, frozenset[ObstacleLabel]]] = []
 
@@ -222,6 +229,7 @@ class ErrorMeter:
         truth: Sequence[TrueBox],
         detections: Sequence[ReportedBox],
         ignored: Sequence[Box] = (),
+        parked: Sequence[Box] = (),
     ) -> None:
         """Compare the boxes of one image; times must ascend.
 
@@ -230,6 +238,7 @@ class ErrorMeter:
             truth: Its true boxes, hidden ones included.
             detections: What was reported.
             ignored: Regions in which nothing is known: what is reported there is no ghost.
+            parked: Boxes of parked cars, which are no road users and no ghosts either.
         """
         overlaps = sorted(
             (
@@ -253,7 +262,9 @@ class ErrorMeter:
             for column, reported in enumerate(detections)
             if column not in matched.values()
             and self._is_in_lane(reported)
-            and all(overlap(true.box, reported.box) < NOTHING_BELOW for true in truth)
+            and all(
+                overlap(box, reported.box) < NOTHING_BELOW for box in (*(true.box for true in truth), *parked)
+            )
             and all(_inside(reported.box, region) < INSIDE_FROM for region in ignored)
         }
         self.ghosts.append((time_s, frozenset(ghosts)))
@@ -264,6 +275,8 @@ class ErrorMeter:
             depth_m = self._camera.ground_depth_m(box.y_max_px)
         if depth_m is None or depth_m > GHOST_WITHIN_M:
             return False
+        if self._in_lane is not None:
+            return self._in_lane(box)
         if left_m is None:
             left_m = self._camera.left_m(0.5 * (box.x_min_px + box.x_max_px), depth_m)
         return abs(left_m) < HALF_LANE_M

@@ -55,7 +55,7 @@ class FittedDetector:
         self._steps = perception_steps
         self._road_users: dict[int, RoadUserErrors] = {}
         self._ghosts = [_Ghosts(process.ghosts[i], seed, i, perception_steps) for i in range(len(LABELS))]
-        self.meter = ErrorMeter(camera)
+        self.meter = ErrorMeter(camera, in_lane=self._observer.is_in_lane)
 
     def __call__(self, time_s: float) -> tuple[Box, ...]:
         """Return the reported boxes at a perception step."""

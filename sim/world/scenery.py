@@ -22,6 +22,8 @@ from brink.sim.world.road import (
 from brink.sim.world.vehicle import CAR
 
 BUILDING_EVERY_M = 17.0
+PARKED = "parked-car"
+"""Kind of the fixtures that are parked cars."""
 PARKED_EVERY_M = 6.6
 TREE_EVERY_M = 13.0
 _FREE_PLACES = frozenset((1, 4, 5, 9, 12, 16, 18, 23))
@@ -108,7 +110,7 @@ def _parked_cars(road: Road) -> list[Fixture]:
                 continue
             if not _near_side_street(road, station_m, side, 13.0):
                 size = (CAR.length_m, CAR.width_m, CAR.height_m)
-                found.append(_at(road, "parked-car", size, station_m, offset_m))
+                found.append(_at(road, PARKED, size, station_m, offset_m))
     return found
 
 

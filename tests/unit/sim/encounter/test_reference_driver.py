@@ -287,7 +287,7 @@ def test_a_violation_is_avoided_by_braking_if_the_driver_brakes_before_it(
 def test_a_driver_who_has_passed_before_a_car_moves_off_avoids_the_collision_by_driving_on() -> None:
     # The system gives way to a van and passes late, as the car that stood beside the way moves off.
     across = {"s_m": 47.75, "heading_rad": -math.pi / 2}
-    van = road_user("van", **across, d_m=39.0, speed_mps=5.0)
+    van = road_user("van", **across, d_m=36.0, speed_mps=5.0)
     car = road_user("car", **across, d_m=4.5, lasts_s=10.5)
     off = road_user("car", **across, d_m=4.5, from_s=10.5, accel_mps2=2.35)
     result = BrinkEncounter().run(encounter({**car, "stretches": car["stretches"] + off["stretches"]}, van))

@@ -1,15 +1,19 @@
 """How wrong a detector was in a drive, from the simulator."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import pytest
 
-from brink.sim.driving.camera import Camera
+from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.episode import EpisodeSpec
 from brink.sim.urban.camera import BrinkDriveCamera
 from brink.sim.urban.detection_errors import MAGNITUDES, RELEVANT_M, ErrorType, Target
+from brink.sim.urban.erroneous_detector import Observer
 from brink.sim.urban.error_meter import MEASURES, ErrorMeter, Measures, ReportedBox, TrueBox
+from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
+from brink.sim.world.world import UrbanWorld, make_world
 
 CAMERA = Camera()
 STEPS = 100
@@ -285,6 +289,84 @@ def test_drives_with_a_camera_tell_the_errors_of_their_detector() -> None:
     assert set(lead) >= {kind.value for kind in (ErrorType.MISS, ErrorType.TOO_FAR, ErrorType.LATE)}
     assert float(str(lead["too_far"])) < 0.3
     assert float(str(lead["miss"])) < 3.0
+
+
+BEND = UrbanScenario(
+    time_of_day=TimeOfDay.NOON,
+    weather=Weather.CLEAR,
+    pedestrians=18,
+    road_curve=RoadCurve.RIGHT,
+    road_id=1,
+    road_length=1,
+    driving_task=DrivingTask.FOLLOW_ROAD,
+)
+"""A tight bend to the right between parked cars."""
+
+
+def world_at(station_m: float, scenario: UrbanScenario = BEND) -> UrbanWorld:
+    """Return a world with the ego in its lane at a station."""
+    world = make_world(scenario, 4)
+    ego = world.ego
+    ego.x_m, ego.y_m, ego.yaw_rad = world.route.pose_at(station_m)
+    return world
+
+
+def ghosts_among(world: UrbanWorld, boxes: Sequence[Box]) -> tuple[set[Box], set[Box]]:
+    """Return which boxes are ghosts on the road ahead, and which would be on a road that leads straight ahead."""
+    found: tuple[set[Box], set[Box]] = (set(), set())
+    for box in boxes:
+        observer = Observer(world, CAMERA)
+        observer.look(0.0)
+        scene = observer.look(0.0)  # the ego's station is found near the last one
+        for meter, parked, among in (
+            (ErrorMeter(CAMERA, in_lane=observer.is_in_lane), observer.parked_boxes(), found[0]),
+            (ErrorMeter(CAMERA), [], found[1]),
+        ):
+            meter.see(0.0, scene.true_boxes(), [ReportedBox(box)], parked=parked)
+            if meter.ghosts[-1][1]:
+                among.add(box)
+    return found
+
+
+@pytest.mark.parametrize("station_m", [60.0, 65.0, 85.0])
+def test_a_parked_car_in_a_bend_is_no_ghost_on_the_road(station_m: float) -> None:
+    world = world_at(station_m)
+    parked = Observer(world, CAMERA).parked_boxes()
+    ghosts, straight_on = ghosts_among(world, parked)
+    assert len(parked) > 5
+    assert straight_on, "no parked car stands where a straight road would lead"
+    assert not ghosts
+
+
+def test_a_detection_on_the_road_ahead_is_a_ghost_in_a_bend_too() -> None:
+    empty = replace(BEND, road_id=0, pedestrians=0)
+    route = make_world(empty, 4).route
+    begins_m = next(station_m for station_m in range(200) if route.curvature_at(station_m) != 0.0)
+    world, at_m = world_at(begins_m, empty), begins_m + 22.0
+    boxes = []
+    for offset_m in (0.0, 3.3, -2.4):
+        x_m, y_m, yaw_rad = world.route.pose_at(at_m, offset_m)
+        body = Solid(ObstacleLabel.PERSON, x_m, y_m, yaw_rad, 0.5, 0.5, 1.75)
+        found = CAMERA.project(world.ego.x_m, world.ego.y_m, world.ego.yaw_rad, body)
+        assert found is not None
+        boxes.append(found[0])
+    ghosts, straight_on = ghosts_among(world, boxes)
+    assert ghosts == {boxes[0]}
+    assert boxes[0] not in straight_on
+
+
+def test_a_detection_of_a_road_user_of_whom_too_little_is_visible_is_no_ghost() -> None:
+    world = make_world(replace(BEND, road_curve=RoadCurve.STRAIGHT), 4)
+    lead, van = world.vehicles[0], world.vehicles[1]
+    van.x_m, van.y_m, van.yaw_rad = world.route.pose_at(18.0)
+    lead.x_m, lead.y_m, lead.yaw_rad = world.route.pose_at(28.0)
+    scene = Observer(world, CAMERA).look(0.0)
+    (hidden,) = [true for true in scene.true_boxes() if true.track == 0]
+    assert not hidden.is_visible
+    for truth, is_ghost in ((scene.true_boxes(), False), ([], True)):
+        meter = ErrorMeter(CAMERA)
+        meter.see(0.0, truth, [ReportedBox(hidden.box)])
+        assert bool(meter.ghosts[-1][1]) is is_ghost
 
 
 def test_a_few_far_detections_are_no_range() -> None:
