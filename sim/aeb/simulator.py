@@ -83,7 +83,11 @@ def _run(
     car = EGO_CAR if options.pitch else replace(EGO_CAR, pitch_rad_per_mps2=0.0)
     world = make_street_world(scenario, spec.seed, car)
     brake = EmergencyBrake(
-        hold_s=options.hold_s, enabled=options.braking, person_frames=options.person_frames
+        hold_s=options.hold_s,
+        enabled=options.braking,
+        person_frames=options.person_frames,
+        latency_s=options.latency_s,
+        car=car,
     )
     recorder = Recorder(world, spec.requirements, CAMERA) if record else None
     film = FilmRecorder() if record else None

@@ -5,8 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from brink.sim.aeb.braking import CRUISE_MPS, EmergencyBrake, Region
+from brink.sim.aeb.braking import CRUISE_MPS, LEAST_FRICTION, EmergencyBrake, Region, needed_reach_m
+from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import Box, Command, EgoState, Observation, ObstacleLabel, PlanMode
+from brink.sim.world.ego import EgoCar
 
 WARNING = Region.from_reference(1280, 720, warning=True)
 SMALL = Region.from_reference(640, 360, warning=True)
@@ -48,6 +50,27 @@ def brakes(brake: EmergencyBrake, time_s: float, boxes: list[Box]) -> bool:
     return result.emergency
 
 
+def person_at(depth_m: float, right_m: float, *, across: bool = False) -> tuple[Box, ...]:
+    """Return the box of a person that a level camera sees from the middle of the lane."""
+    yaw_rad = 0.5 * np.pi if across else 0.0
+    camera = Camera()
+    # Right is the right edge of the lane; the nearer side of a person who crosses is 0.225 m from their centre.
+    side_m = right_m + (0.225 if across else 0.0)
+    solid = Solid(ObstacleLabel.PERSON, depth_m + camera.forward_m, -side_m, yaw_rad, 0.45, 0.55, 1.75)
+    seen = camera.project(0.0, 0.0, 0.0, solid)
+    return () if seen is None else (seen[0],)
+
+
+def seen_at(
+    time_s: float, boxes: tuple[Box, ...], seen_s: float, speed_mps: float = CRUISE_MPS
+) -> Observation:
+    """Return an observation with the boxes of an earlier image."""
+    ego = EgoState(
+        x_m=0.0, y_m=0.0, yaw_rad=0.0, speed_mps=speed_mps, accel_mps2=0.0, station_m=0.0, offset_m=0.0
+    )
+    return Observation(time_s=time_s, ego=ego, boxes=boxes, light=None, seen_s=seen_s)
+
+
 PERSON, VEHICLE = seen(box(600, 300, 680, 600)), ObstacleLabel.VEHICLE
 
 
@@ -78,7 +101,7 @@ def test_regions_scale_with_the_picture() -> None:
 def test_only_a_vehicle_in_the_lane_triggers_the_brake() -> None:
     brake = EmergencyBrake()
     beside, ahead = seen(box(876, 300, 1280, 720), VEHICLE), seen(box(520, 400, 760, 600), VEHICLE)
-    farther = seen(box(520, 360, 760, 460), VEHICLE)
+    farther = seen(box(520, 360, 760, 450), VEHICLE)
     assert not any(brakes(brake, 0.05 * frame, [beside, farther]) for frame in range(20))
     assert [brakes(brake, 1.0 + 0.05 * frame, [ahead]) for frame in range(4)] == [False, False, True, True]
 
@@ -161,19 +184,59 @@ def test_between_images_the_brake_holds_and_counts_nothing() -> None:
     assert (brake.person_seen_s, brake.braked_at_s) == (0.1, 0.2)
 
 
-def test_a_person_on_the_way_into_the_region_counts_where_they_are_by_now() -> None:
-    """At 40 px a frame, a person 60 px beside the region in an image of two frames ago is in it now."""
-    ego = EgoState(x_m=0.0, y_m=0.0, yaw_rad=0.0, speed_mps=8.0, accel_mps2=0.0, station_m=0.0, offset_m=0.0)
-    for step_px, triggers in ((40.0, True), (-40.0, False), (0.0, False)):
-        brake = EmergencyBrake()
-        for frame in range(2):
-            right_px = 435.0 + step_px * (frame - 1)  # the region begins at 495 px in row 500
-            walks = seen(box(right_px - 60.0, 400, right_px, 500))
-            observation = Observation(
-                time_s=0.1 + 0.05 * frame, ego=ego, boxes=(walks,), light=None, seen_s=0.05 * frame
-            )
-            command = brake.step(observation)
-        assert command.emergency is triggers
+@pytest.mark.parametrize(
+    ("beside_m", "towards_mps", "triggers"),
+    [(0.4, 2.0, True), (0.8, 2.0, False), (0.4, 0.0, False), (0.4, -2.0, False)],
+)
+def test_a_person_counts_where_they_will_be_when_the_brakes_bite(
+    beside_m: float, towards_mps: float, triggers: bool
+) -> None:
+    """With images 0.1 s old, and brakes that cost 0.17 s, a person at 2 m/s comes 0.54 m nearer to the region."""
+    brake = EmergencyBrake()
+    for frame in range(2):
+        depth_m = 8.0 - 0.4 * frame
+        aside_m = 1.75 + beside_m - 0.05 * towards_mps * (frame - 1)
+        command = brake.step(
+            seen_at(0.05 * frame, person_at(depth_m, aside_m, across=True), seen_s=0.05 * frame - 0.1)
+        )
+    assert command.emergency is triggers
+
+
+@pytest.mark.parametrize("person_frames", [1, 2, 3])
+@pytest.mark.parametrize("latency_s", [0.1, 0.3, 0.6])
+def test_the_region_reaches_as_far_as_the_car_needs_to_stop(latency_s: float, person_frames: int) -> None:
+    """Somebody appears in the middle of the lane where the region ends, on the most slippery road."""
+    brake = EmergencyBrake(latency_s=latency_s, person_frames=person_frames)
+    car = EgoCar((0.0, 0.0, 0.0), CRUISE_MPS, friction=LEAST_FRICTION)
+    views: list[tuple[Box, ...]] = []
+    reach_m = needed_reach_m(car.model, latency_s=latency_s, frames=person_frames)
+    steps = round(latency_s / 0.05)
+    while car.speed_mps > 0.0:
+        depth_m = 40.0 - car.x_m - Camera().forward_m
+        views.append(person_at(depth_m, 0.0) if depth_m - 0.225 <= reach_m else ())
+        late = len(views) - 1 - steps
+        time_s = 0.05 * (len(views) - 1)
+        now = brake.step(seen_at(time_s, views[late] if late >= 0 else (), 0.05 * late, car.speed_mps))
+        car.drive(now.accel_mps2, now.steer_rad, 5)
+    assert 0.9 < 40.0 - 0.225 - car.x_m - 0.5 * car.length_m < 1.9
+
+
+def test_what_stays_beside_the_region_in_the_image_does_not_trigger_the_brake() -> None:
+    """At a constant bearing it would have to run; dirt on the lens does not."""
+    brake = EmergencyBrake()
+    dirt = Box(ObstacleLabel.PERSON, 0.0, 80.0, 300.0, 480.0)
+    assert not any(
+        brake.step(seen_at(0.05 * frame, (dirt,), 0.05 * frame - 0.1)).emergency for frame in range(5)
+    )
+
+
+def test_the_region_is_never_shorter_than_the_papers_and_longer_ones_keep_its_sides() -> None:
+    assert Region.in_driving_image(warning=True, reach_m=5.0) == Region.in_driving_image(warning=True)
+    longer = Region.in_driving_image(warning=True, reach_m=12.0)
+    nearer, farther = (person_at(depth_m, 0.0)[0] for depth_m in (12.1, 12.3))  # of their centres
+    assert longer.intersects(nearer)
+    assert not longer.intersects(farther)
+    assert longer.top_px / Camera().focal_px * 12.0 / 2.0 == pytest.approx(1.78, abs=0.02)
 
 
 def test_two_persons_in_different_places_do_not_confirm_each_other() -> None:
