@@ -94,7 +94,7 @@ def street_drive() -> Trace:
             "weather": "soft_rain",
             "occluder": "van",
             "crossing_m": 50.0,
-            "arrival_s": 0.1,
+            "arrival_s": 0.0,
             "oncoming_m": 60.0,
             "obstacle": "novelty",
         },
