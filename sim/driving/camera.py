@@ -209,16 +209,16 @@ class Camera:
         """
         if pitch_rad == 0.0:
             return box
-        tan_pitch = math.tan(pitch_rad)
-        top, bottom = (
-            (row + tan_pitch) / (1.0 - row * tan_pitch)
-            for row in ((y_px - self.horizon_px) / self.focal_px for y_px in (box.y_min_px, box.y_max_px))
+        label, x_min, x_max, y_min, y_max = box
+        horizon, focal, tan_pitch = self.horizon_px, self.focal_px, math.tan(pitch_rad)
+        top, bottom = (y_min - horizon) / focal, (y_max - horizon) / focal
+        y_min = max(0.0, horizon + focal * ((top + tan_pitch) / (1.0 - top * tan_pitch)))
+        y_max = min(
+            float(self.height_px), horizon + focal * ((bottom + tan_pitch) / (1.0 - bottom * tan_pitch))
         )
-        y_min = max(0.0, self.horizon_px + self.focal_px * top)
-        y_max = min(float(self.height_px), self.horizon_px + self.focal_px * bottom)
         if y_max - y_min < self.min_height_px:
             return None
-        return box._replace(y_min_px=y_min, y_max_px=y_max)
+        return Box(label, x_min, x_max, y_min, y_max)
 
     def all_tilted(self, boxes: Iterable[Box], pitch_rad: float) -> tuple[Box, ...]:
         """Return those of some boxes that are in the image of a pitched camera; see `tilted`."""

@@ -100,11 +100,11 @@ class GroundPlaneLocaliser:
         # The body's pitch moves rows; it is known from the acceleration but for its swinging.
         shift_px = -camera.focal_px * settings.pitch_rad_per_mps2 * ego.accel_mps2
         for seen in boxes:
-            box = seen._replace(y_min_px=seen.y_min_px + shift_px, y_max_px=seen.y_max_px + shift_px)
+            label, x_min, x_max, y_min, y_max = seen
+            box = Box(label, x_min, x_max, y_min + shift_px, y_max + shift_px)
             near = self.depth_m(box)
             if near is None:
                 continue
-            label, x_min, x_max, _, _ = box
             # Tangents of the directions to the box's edges, positive to the left.
             left = (camera.centre_x_px - x_min) / camera.focal_px
             right = (camera.centre_x_px - x_max) / camera.focal_px
@@ -325,6 +325,7 @@ class AlphaBetaTracker:
         pairs: list[tuple[float, int, int]] = []
         for column, place in enumerate(places):
             label, x_m, y_m, _, _, sigma_m, _, box = place
+            x_min_px, x_max_px = box.x_min_px, box.x_max_px
             gate = settings.gate_m + settings.gate_per_sigma * sigma_m
             gate_squared = gate * gate
             for row, track in enumerate(self._tracks):
@@ -334,7 +335,12 @@ class AlphaBetaTracker:
                 squared = dx * dx + dy * dy
                 if squared <= gate_squared:
                     pairs.append((squared / gate_squared, row, column))
-                elif overlap(box, track.box) >= settings.min_overlap:
+                # Most are side by side in the image: two comparisons are faster than a call.
+                elif (
+                    x_min_px < track.box.x_max_px
+                    and track.box.x_min_px < x_max_px
+                    and overlap(box, track.box) >= settings.min_overlap
+                ):
                     pairs.append((1.0 + squared / gate_squared, row, column))
         if len(pairs) > 1:
             pairs.sort(key=itemgetter(0, 1, 2))
