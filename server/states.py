@@ -50,6 +50,8 @@ class FollowUpKind(StrEnum):
     """Is each solution unsafe with ground truth in place of the component, in the same episode?"""
     MINIMISE = "minimise"
     """Which differences between the two solutions of each pair matter?"""
+    SHARPEN = "sharpen"
+    """Where exactly between the two solutions of each pair does it turn?"""
 
 
 class Selection(StrEnum):

@@ -18,6 +18,7 @@ def follow_up_requests(
     *,
     component: bool,
     minimise: bool = False,
+    sharpen: bool = False,
     limit: int | None = None,
 ) -> list[dict[str, Any]]:
     """Return the request bodies of follow-ups.
@@ -27,6 +28,7 @@ def follow_up_requests(
         confirm: Most simulations of each side with other seeds; None or 0 for none.
         component: Whether to ask if the component is to blame.
         minimise: Whether to revert differences.
+        sharpen: Whether to bring pairs to thresholds.
         limit: Most pairs to ask about, first ones first; None for as many as a follow-up takes.
     """
     shared: dict[str, Any] = dict(settings)
@@ -39,6 +41,8 @@ def follow_up_requests(
         requests.append({"kind": FollowUpKind.COMPONENT.value, **shared})
     if minimise:
         requests.append({"kind": FollowUpKind.MINIMISE.value, **shared})
+    if sharpen:
+        requests.append({"kind": FollowUpKind.SHARPEN.value, **shared})
     return requests
 
 

@@ -25,6 +25,7 @@ from brink.cli.options import (
     check_out,
     console,
     print_json,
+    program,
     settings_with,
     with_api,
 )
@@ -108,6 +109,13 @@ def pairs(
         bool,
         typer.Option("--minimise", help="Revert differences one by one first, to find those that matter."),
     ] = False,
+    sharpen: Annotated[
+        bool,
+        typer.Option(
+            "--sharpen",
+            help="Find where exactly between the sides of each pair drives turn unsafe: thresholds.",
+        ),
+    ] = False,
     results: Annotated[
         Path, typer.Option(help="Folder given to brink run as --out, whose files are updated.")
     ] = RESULTS,
@@ -120,13 +128,16 @@ def pairs(
 
     Each pair says in words what the change between its two drives is, how far each number moved as a share of its
     range, and what the unsafe one did. What --confirm,
-    --component and --minimise find out is stored and shown from then on. Without --server, the command runs a
+    --component and --minimise find out is stored and shown from then on; --sharpen finds thresholds, which are shown
+    below the pairs. Without --server, the command runs a
     coordinator and workers until it is known; calling it again continues. It also brings the files that `brink run`
     wrote up to date.
 
     Example: brink pairs 3f2a
 
     Example: brink pairs 3f2a --confirm 30 --component --minimise
+
+    Example: brink pairs 3f2a --sharpen --limit 10
 
     Example: brink pairs 3f2a --out pairs.jsonl
 
@@ -143,7 +154,9 @@ def pairs(
         check_out(path, *endings, option=option)
 
     given = {name: value for name, value in settings.items() if value is not None}
-    asked = follow_up_requests(given, confirm, component=component, minimise=minimise, limit=limit)
+    asked = follow_up_requests(
+        given, confirm, component=component, minimise=minimise, sharpen=sharpen, limit=limit
+    )
     if drawn:
         ignored = [
             name
@@ -185,6 +198,8 @@ def pairs(
         if wanted is Format.TABLE:
             rows = {"rows": limit or PAIRS_SHOWN} | ({"first": limit} if asked and limit else {})
             await show_kind(api, campaign, "pairs", params | rows, more=f"--limit up to {MOST_PAIRS:,}")
+            if sharpen:
+                await _show_thresholds(api, campaign)
             return
         params |= {"limit": limit or MOST_PAIRS, "format": wanted.value}
         written = await api.request("GET", f"/campaigns/{campaign}/pairs", params=params)
@@ -203,6 +218,17 @@ def pairs(
 
     with_api(server, database, show)
     raise typer.Exit(int(not complete))
+
+
+async def _show_thresholds(api: Api, campaign: str) -> None:
+    """Print the thresholds that follow-ups found between the sides of a campaign's pairs."""
+    view = await fetch_pairs(api, campaign, limit=1)
+    for one in view.follow_ups:
+        if one.kind is FollowUpKind.SHARPEN and one.simulations:
+            command = f"{program()} findings {one.campaign} thresholds"
+            console().print()
+            await show_kind(api, one.campaign, "thresholds", {"rows": PAIRS_SHOWN}, more=command)
+            console().print(f"campaign {one.campaign}: {command} --picture thresholds.png", soft_wrap=True)
 
 
 def _follow_up(

@@ -179,7 +179,7 @@ async def _sentences(known: _Known, found: Sequence[Finding]) -> tuple[str, list
     """Return the first finding in a sentence, and further sentences."""
     if not found:
         return _nothing_yet(known), []
-    if known.of is not None:
+    if known.of is not None and not question_of(known.of.kind).has_findings:
         return await _follow_up_words(known, known.of), [known.outcomes.sentence()]
     first = found[0]
     told = "" if known.is_exclusive else known.outcomes.sentence()

@@ -25,6 +25,7 @@ SIMOOD = "simood-ga@1"
 REPEAT = "repeat@1"
 EDGE = "edge@1"
 MINIMISE = "minimise@1"
+SHARPEN = "sharpen@1"
 TOLERANCE = "tolerance@1"
 NEAREST = "nearest-opposite@1"
 NEEDS: dict[str, tuple[type[Any], str]] = {
@@ -84,7 +85,7 @@ def test_the_projects_own_algorithms_are_registered() -> None:
 
 def config_for(checked: AnyAlgorithm, space: SearchSpace) -> Any:
     """Return an algorithm's default settings; where there are none, some solutions or pairs."""
-    if checked.id == MINIMISE:
+    if checked.id in (MINIMISE, SHARPEN):
         rng = np.random.default_rng(1)
         rows = [[space.join(space.sample(rng)).tolist() for _ in range(4)] for _ in range(2)]
         return checked.config_type(safe=rows[0], unsafe=rows[1])
@@ -105,6 +106,8 @@ def config_for(checked: AnyAlgorithm, space: SearchSpace) -> Any:
 def supports(plugin_id: str, space: SearchSpace) -> bool:
     if plugin_id == TOLERANCE:
         return space is ERRORS
+    if plugin_id == SHARPEN:
+        return not space.categorical.all()
     needed = NEEDS.get(plugin_id)
     rules = [rule for component in space.components for rule in component.constraints]
     return needed is None or any(isinstance(rule, needed[0]) for rule in rules)
@@ -133,7 +136,8 @@ def test_algorithm_keeps_its_contract(plugin_id: str, name: str) -> None:
     checked = algorithm(plugin_id)
     assert checked.id == plugin_id
     if not supports(plugin_id, space):
-        needed = "severity" if plugin_id == TOLERANCE else NEEDS[plugin_id][1]
+        others = {TOLERANCE: "severity", SHARPEN: "differ in a number"}
+        needed = others[plugin_id] if plugin_id in others else NEEDS[plugin_id][1]
         with pytest.raises(UnsupportedSpace, match=needed):
             checked.check(space, checked.config_type(), budget=170)
         return
@@ -143,8 +147,8 @@ def test_algorithm_keeps_its_contract(plugin_id: str, name: str) -> None:
         space,
         budget=budget,
         config=config_for(checked, space),
-        ends_itself=plugin_id in {SIMOOD, MINIMISE},
-        repeats=plugin_id in {REPEAT, EDGE, MINIMISE, TOLERANCE, NEAREST, "qd@1"},
+        ends_itself=plugin_id in {SIMOOD, MINIMISE, SHARPEN},
+        repeats=plugin_id in {REPEAT, EDGE, MINIMISE, SHARPEN, TOLERANCE, NEAREST, "qd@1"},
     )
     assert len(run.generations) >= 2
 

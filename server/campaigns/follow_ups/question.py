@@ -79,6 +79,7 @@ class Question(ABC):
         repeats: Default for the most simulations of each side; None if sides are simulated with their own seeds.
         is_exact: Whether it takes exactly the simulations that are offered, rather than at most these.
         is_asked_by_experiments: Whether it is asked about the pairs of all campaigns of an experiment.
+        has_findings: Whether its campaign has findings of its own, so that its results are theirs.
     """
 
     kind: ClassVar[FollowUpKind]
@@ -92,6 +93,7 @@ class Question(ABC):
     repeats: ClassVar[int | None] = None
     is_exact: ClassVar[bool] = False
     is_asked_by_experiments: ClassVar[bool] = False
+    has_findings: ClassVar[bool] = False
 
     @abstractmethod
     def fits(self, plan: Plan, asks: FollowUp) -> bool:

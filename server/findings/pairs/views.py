@@ -286,7 +286,8 @@ class FollowUpBody(Body):
         Field(
             strict=False,
             description="confirm: simulate both sides with other seeds. component: simulate the unsafe side with "
-            "ground truth in place of the component. minimise: revert differences one by one.",
+            "ground truth in place of the component. minimise: revert differences one by one. sharpen: "
+            "find where along a number they turn.",
         ),
     ]
     repeats: Annotated[

@@ -174,8 +174,11 @@ def test_once_everything_is_answered_the_next_steps_lead_on(client: httpx.Client
     assert "report" not in kinds(finding(client, campaign)), "the pairs have not been confirmed yet"
     again = expect(client.post(f"{API}/{campaign}/pairs/follow-ups", json={"kind": "confirm"}), 201)
     FakeWorker(client).work(again["campaign"])
+    assert "report" not in kinds(finding(client, campaign)), "the pairs have not been sharpened yet"
+    sharpened = expect(client.post(f"{API}/{campaign}/pairs/follow-ups", json={"kind": "sharpen"}), 201)
+    FakeWorker(client).work(sharpened["campaign"])
     steps = {step["kind"]: step for step in finding(client, campaign)["steps"]}
-    for step in ("minimise", "component"):
+    for step in ("minimise", "component", "sharpen"):
         assert step not in steps, "the differences of these pairs cannot be reverted"
     assert steps["report"]["command"] == f"brink report {campaign} --out report.html"
     assert steps["go on"]["place"] == f"new?start_from={campaign}"

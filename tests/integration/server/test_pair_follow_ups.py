@@ -301,9 +301,14 @@ def test_the_pairs_say_what_can_be_asked_and_what_it_takes(client: httpx.Client)
     assert {reason for _, reason in offers(alone).values()} == {"there is no pair"}
 
     campaign = finished(client)
-    assert offers(campaign) == {"confirm": (4, ""), "component": (2, ""), "minimise": (6, "")}
+    sharpening = offers(campaign)["sharpen"]
+    assert sharpening[0] > 2 * (6 + 40)
+    first = {"confirm": (4, ""), "component": (2, ""), "minimise": (6, ""), "sharpen": sharpening}
+    assert offers(campaign) == first
+    asked_of: dict[str, str] = {}
     for kind, (simulations, _) in offers(campaign).items():
         asked = ask(client, campaign, kind=kind, d_th=0.01)
+        asked_of[kind] = asked["campaign"]
         assert asked["budget"] == simulations * (30 if kind == "confirm" else 1)
         same = f"this has been requested: campaign {asked['campaign']} is running"
         assert offers(campaign)[kind] == (0, same)
@@ -312,6 +317,7 @@ def test_the_pairs_say_what_can_be_asked_and_what_it_takes(client: httpx.Client)
         "confirm": (4, ""),
         "component": (2, "all unsafe sides have been simulated with ground truth"),
         "minimise": (6, "the differences of all pairs have been reverted one by one"),
+        "sharpen": (sharpening[0], f"all pairs have been sharpened: see campaign {asked_of['sharpen']}"),
     }
     minimal = worked(client, submit(client, body(ICY_SAFE, ICY_UNSAFE, seed_numbers=[0, 0])))
     assert offers(minimal)["minimise"][1] == "no difference can be reverted alone: all pairs are minimal"
