@@ -130,7 +130,7 @@ def find_pair(view: PairsView, number: int) -> PairView | None:
 
 
 async def trace_of(api: Api, campaign: str, number: int, *, workers: bool) -> Trace:
-    """Return the trace of a solution, from the coordinator's workers or else by running its episode on this machine.
+    """Return the trace of a solution: the kept one, or else one from the coordinator's workers or from this machine.
 
     Raises:
         NoTrace: No worker ran the episode in time, or it failed on this machine.
@@ -171,7 +171,9 @@ async def fetch_trace(api: Api, campaign: str, number: int, timeout_s: float) ->
 
 
 async def run_episode(api: Api, campaign: str, number: int) -> Trace:
-    """Return the trace of a solution by running its episode on this machine.
+    """Return the trace of a solution. If it was not kept, run its episode on this machine.
+
+    A kept trace is also that of a simulator that this machine no longer has.
 
     Args:
         api: Coordinator of the campaign.
@@ -181,6 +183,14 @@ async def run_episode(api: Api, campaign: str, number: int) -> Trace:
     Raises:
         NoTrace: The solution was not simulated, or its episode failed on this machine.
     """
+    with contextlib.suppress(
+        CoordinatorError
+    ):  # no trace is kept, no worker could record it, or no such solution
+        kept = await api.request(
+            "GET", f"/campaigns/{campaign}/solutions/{number}/trace", params={"wait_s": 0.0}
+        )
+        if kept.status_code == 200:
+            return Trace.from_bytes(kept.content)
     body = (await api.read(CampaignView, f"/campaigns/{campaign}")).body
     spec = (await api.read(SolutionView, f"/campaigns/{campaign}/solutions/{number}")).spec
     if not make_plan(body).problem.records_traces:

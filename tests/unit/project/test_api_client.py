@@ -6,8 +6,10 @@ from typing import Any
 
 import httpx
 import pytest
+from support.traces import make_trace
 
 from brink.api.client import Api, CoordinatorError
+from brink.api.results import run_episode
 from brink.server.api.schemas import WorkerView
 from brink.server.errors import InvalidInput
 from brink.server.findings.boundary.views import DbsCell
@@ -80,3 +82,18 @@ def test_a_rejected_request_lists_every_wrong_field() -> None:
         "seed: expected a number",
         "bugdet: unknown field (did you mean 'budget'?)",
     ]
+
+
+def test_a_kept_trace_is_read_and_its_episode_not_run_again() -> None:
+    # It may be that of a simulator which this machine no longer has.
+    trace = make_trace()
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        assert request.url.path.endswith("/campaigns/3f2a/solutions/4/trace"), "only the trace is requested"
+        return httpx.Response(200, content=trace.to_bytes())
+
+    async def work() -> bytes:
+        async with httpx.AsyncClient(transport=httpx.MockTransport(answer), base_url="http://c") as client:
+            return (await run_episode(Api(client, "http://c"), "3f2a", 4)).to_bytes()
+
+    assert asyncio.run(work()) == trace.to_bytes()
