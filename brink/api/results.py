@@ -183,9 +183,8 @@ async def run_episode(api: Api, campaign: str, number: int) -> Trace:
     Raises:
         NoTrace: The solution was not simulated, or its episode failed on this machine.
     """
-    with contextlib.suppress(
-        CoordinatorError
-    ):  # no trace is kept, no worker could record it, or no such solution
+    # The request is refused if no trace is kept, if none could be recorded, or if there is no such solution.
+    with contextlib.suppress(CoordinatorError):
         kept = await api.request(
             "GET", f"/campaigns/{campaign}/solutions/{number}/trace", params={"wait_s": 0.0}
         )
