@@ -122,7 +122,7 @@ def find_lines(archive: Archive, space: SearchSpace, own: BoolArray, *, fewest: 
             continue
         held = whole - hashes[:, columns].sum(axis=1, dtype=np.uint64)
         for places in _groups(held, own, fewest):
-            line = _line(archive, space, unit, places, own)
+            line = _line(archive, space, unit, places, own, fewest)
             if line is not None:
                 lines.append(line)
     return sorted(lines, key=lambda line: (int(line.places.min()), line.unit))
@@ -146,19 +146,24 @@ def _groups(held: NDArray[np.uint64], own: BoolArray, fewest: int) -> Iterator[I
         yield np.flatnonzero(which == group)
 
 
-def _line(archive: Archive, space: SearchSpace, unit: Unit, places: IntArray, own: BoolArray) -> Line | None:
+def _line(
+    archive: Archive, space: SearchSpace, unit: Unit, places: IntArray, own: BoolArray, fewest: int
+) -> Line | None:
     """Return the line of solutions that agree in what is held; None if it has too few places or no direction."""
     columns = list(unit)
-    numbers = archive.vectors[places][:, columns]
-    shares = numbers / space.ranges[columns]
-    leading = int(np.argmax(np.ptp(shares, axis=0)))
-    order = np.argsort(numbers[:, leading], kind="stable")
-    places, values = places[order], numbers[order, leading]
+    shares = archive.vectors[places][:, columns] / space.ranges[columns]
+    leading = int(np.argmax(np.ptp(shares[own[places]], axis=0)))
+    places = places[_is_straight(shares, own[places], leading, space, columns)]
+    values = archive.vectors[places, columns[leading]]
+    order = np.argsort(values, kind="stable")
+    places, values = places[order], values[order]
     its_own, unsafe = own[places], archive.unsafe[places]
     of_each = values[its_own & ~unsafe], values[its_own & unsafe]
-    if len(np.unique(values[its_own])) < FEWEST_PLACES or not all(map(len, of_each)):
-        return None
-    if not _is_straight(shares[order], space, columns):
+    if (
+        its_own.sum() < fewest
+        or len(np.unique(values[its_own])) < FEWEST_PLACES
+        or not all(map(len, of_each))
+    ):
         return None
     rises = bool(of_each[1].mean() >= of_each[0].mean())
     kept, beyond = _trimmed(values, its_own, unsafe, rises=rises)
@@ -191,13 +196,19 @@ def _trimmed(
     return slice(first, last + 1), beyond
 
 
-def _is_straight(shares: FloatArray, space: SearchSpace, columns: list[int]) -> bool:
-    """Return whether all numbers of a unit move in proportion, but for rounding and what constraints bend."""
-    first, last = shares[0], shares[-1]
-    leading = int(np.argmax(np.abs(last - first)))
+def _is_straight(
+    shares: FloatArray, own: BoolArray, leading: int, space: SearchSpace, columns: list[int]
+) -> BoolArray:
+    """Return which solutions lie on the straight line between the outermost ones with a seed of their own.
+
+    Constraints may bend it a little, and whole numbers are rounded. Others moved the same unit in another direction.
+    """
+    mine = shares[own]
+    first, last = mine[np.argmin(mine[:, leading])], mine[np.argmax(mine[:, leading])]
     length = last[leading] - first[leading]
-    along = (shares[:, leading] - first[leading]) / length
-    expected = first + along[:, None] * (last - first)
+    if length <= 0.0:
+        return np.zeros(len(shares), np.bool_)
+    expected = first + ((shares[:, leading] - first[leading]) / length)[:, None] * (last - first)
     whole = [isinstance(space.parameters[column], Integer) for column in columns]
     steps = np.where(whole, 1.0 / space.ranges[columns], 0.0)
-    return bool((np.abs(shares - expected) <= steps + _STRAIGHT * abs(length)).all())
+    return np.asarray((np.abs(shares - expected) <= steps + _STRAIGHT * length).all(axis=1))

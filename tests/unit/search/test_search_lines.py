@@ -103,6 +103,10 @@ def test_two_numbers_that_move_together_are_one_line() -> None:
     vectors = rows(left=[1.0 + one for one in moved], right=[4.0 + 1.5 * one for one in moved])
     (line,) = lines_of(vectors, vectors[:, LEFT] > 2.0)
     assert (line.unit, line.leading) == ((LEFT, RIGHT), RIGHT), "read by the number that moves further"
+    bent = np.concatenate([vectors, rows(left=[0.0, 0.0], right=[3.0, 9.0])])
+    own = np.arange(len(bent)) < len(vectors)
+    (same,) = lines_of(bent, bent[:, LEFT] > 2.0, own)
+    assert len(same.values) == len(vectors), "what a shared seed moved in another direction is on no line"
     crooked = rows(
         left=[1.0, 1.0, 1.0, 1.0, 2.0, 2.5, 3.0, 3.5], right=[4.0, 4.5, 5.0, 5.5, 5.5, 5.5, 5.5, 5.5]
     )
