@@ -245,8 +245,8 @@ def _view(
     problem, line = read.plan.problem, one.line
     row = read.archive.vectors[int(line.places[0])]
     amounts = Amounts.of(problem, line.leading, row, one.resolution)
-    sides = _sides(one, ends, amounts)
-    safe, unsafe = (_at(problem, read.archive, one, value, rows[number]) for value, number in sides)
+    sides = _sides(one, amounts)
+    safe, unsafe = (_at(problem, read.archive, one, value) for value in sides)
     steps = Steps(problem.space)
     units = steps.differing(*(problem.space.join(tuple(side.vectors)) for side in (safe, unsafe))) or [
         line.unit
@@ -312,8 +312,8 @@ def _value_text(value: Value) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _sides(one: Threshold, ends: _Ends, amounts: Amounts) -> list[tuple[float, int]]:
-    """Return the 20 and the 80% point, or else the ends of the line, each with a simulated solution.
+def _sides(one: Threshold, amounts: Amounts) -> list[float]:
+    """Return the 20 and the 80% point, or else the ends of the line.
 
     They are rounded as people read them, unless that makes them equal.
     """
@@ -322,13 +322,11 @@ def _sides(one: Threshold, ends: _Ends, amounts: Amounts) -> list[tuple[float, i
         for point, end in zip((one.start, one.end), one.line.ends, strict=True)
     ]
     rounded = [amounts.rounded(point) for point in points]
-    return list(zip(points if rounded[0] == rounded[1] else rounded, (ends.safe, ends.unsafe), strict=True))
+    return points if rounded[0] == rounded[1] else rounded
 
 
-def _at(
-    problem: Problem, archive: Archive, one: Threshold, value: float, stored: Row[Any]
-) -> SimulatedSolution:
-    """Return the solution at a value of a line, with the result of a simulated one near by."""
+def _at(problem: Problem, archive: Archive, one: Threshold, value: float) -> SimulatedSolution:
+    """Return the solution at a value of a line, without a result, since it need not have been simulated."""
     line, space = one.line, problem.space
     first, last = (archive.vectors[int(line.places[at])] for at in (0, -1))
     share = (value - line.values[0]) / (line.values[-1] - line.values[0])
@@ -337,9 +335,7 @@ def _at(
         row[column] = first[column] + share * (last[column] - first[column])
         if isinstance(space.parameters[column], Integer):
             row[column] = np.rint(row[column])
-    return SimulatedSolution(
-        vectors=space.split(row), result=json.loads(stored.result) if stored.result else None
-    )
+    return SimulatedSolution(vectors=space.split(row))
 
 
 def _outcome(problem: Problem, row: Row[Any]) -> SolutionOutcome:
