@@ -108,8 +108,8 @@ class Sizes:
         scenarios: Random scenarios with `BEHAVIOURS_PER_SCENARIO` behaviours each.
         reruns: Candidates that run again with another seed.
         pairs: Pairs of neighbours.
-        redraws: Changes to each categorical parameter, each with two seeds.
-        number_redraws: Changes to each numeric parameter; more, because most boxes do not affect the ego.
+        redraws: Changes to each parameter, each with two seeds; many, because most boxes do not affect the ego, and
+            pedestrians seldom affect the vehicle ahead.
         ends: Scenarios that run with a perfect detector, and without any detection.
         permutations: Permutations in each test.
     """
@@ -118,8 +118,7 @@ class Sizes:
     scenarios: int = 100
     reruns: int = 1000
     pairs: int = 800
-    redraws: int = 100
-    number_redraws: int = 300
+    redraws: int = 300
     ends: int = 300
     permutations: int = 2000
 
@@ -244,8 +243,7 @@ class _Difficulty:
         """Return the effect of redrawing one parameter while all others and the seed stay the same."""
         rng, name = self._rng(5, place), PARAMETERS[place].name
         specs: list[EpisodeSpec] = []
-        count = self.sizes.redraws if SPACE.categorical[place] else self.sizes.number_redraws
-        for index in range(count):
+        for index in range(self.sizes.redraws):
             base = draw_candidate(rng)
             while SPACE.dormant(SPACE.join(base))[place]:
                 base = draw_candidate(rng)
