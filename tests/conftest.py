@@ -28,7 +28,7 @@ from support.sessions import LongestFirst, SharedPostgres, slowest_files, use_me
 from xdist.remote import Producer
 from xdist.workermanage import WorkerController
 
-from brink.search import surrogate
+from brink.search import exploration, surrogate
 from brink.search.algorithms import pool
 from brink.search.analysis import boosted_trees
 from brink.server.db.engine import Engines, open_engines
@@ -118,6 +118,7 @@ def postgres_databases(request: pytest.FixtureRequest) -> Iterator[PostgresDatab
 def few_trees(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the search for pairs grow small forests, where the quality of its choices does not matter."""
     monkeypatch.setattr(surrogate, "TREES", 6)
+    monkeypatch.setattr(exploration, "TREES", 6)
 
 
 @pytest.fixture

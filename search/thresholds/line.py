@@ -68,6 +68,8 @@ class Line:
 def valid_change(space: SearchSpace, held: FloatArray, row: FloatArray, unit: Unit) -> FloatArray | None:
     """Return the nearest valid solution to a row, if it differs from a valid one in a unit alone; otherwise None.
 
+    It is also None if constraints move the unit by more than its resolution.
+
     Args:
         space: The space.
         held: A valid solution, shape ``(d,)``.
@@ -77,6 +79,11 @@ def valid_change(space: SearchSpace, held: FloatArray, row: FloatArray, unit: Un
     # Nothing is missing, so repair draws at most the numbers of a block that it reactivates, which are then others.
     rng = np.random.Generator(np.random.PCG64(0))
     repaired = space.join(space.repair(space.split(row), rng))
+    columns = list(unit)
     others = np.ones(space.dimension, np.bool_)
-    others[list(unit)] = False
-    return frozen_array(repaired) if np.array_equal(repaired[others], held[others]) else None
+    others[columns] = False
+    if not np.array_equal(repaired[others], held[others]):
+        return None
+    # Rounding moves a number by less than its resolution; more means that it was drawn or stretched.
+    is_near = np.abs(repaired - row)[columns] <= space.resolutions(held)[0][columns]
+    return frozen_array(repaired) if (is_near | space.categorical[columns]).all() else None

@@ -29,6 +29,7 @@ class Mtq(InProcessProblem):
             "d_th": 0.05,
             "margin": 0.0,
             "checks": 0,
+            "trials": 0,
         }
 
     def evaluate(self, vectors: Vectors) -> Evaluation:
@@ -45,7 +46,7 @@ class Onemax(InProcessProblem):
 
     def __init__(self, params: NoParams) -> None:
         self.space = ONEMAX_SPACE
-        self.algorithm_defaults = {"radius": ONEMAX_RADIUS, "margin": 0.0, "checks": 0}
+        self.algorithm_defaults = {"radius": ONEMAX_RADIUS, "margin": 0.0, "checks": 0, "trials": 0}
 
     def evaluate(self, vectors: Vectors) -> Evaluation:
         """Return the verdict of the formula."""

@@ -24,6 +24,7 @@ GROUP = "brink.algorithms"
 SIMOOD = "simood-ga@1"
 REPEAT = "repeat@1"
 EDGE = "edge@1"
+THRESHOLDS = "edge@2"
 MINIMISE = "minimise@1"
 SHARPEN = "sharpen@1"
 TOLERANCE = "tolerance@1"
@@ -78,7 +79,17 @@ def algorithm(plugin_id: str) -> AnyAlgorithm:
 
 
 def test_the_projects_own_algorithms_are_registered() -> None:
-    known = {"mlcshe@1", "ga@1", "random@1", "simood-ga@1", "nsga2@1", "mosat@1", "mumoea@1", EDGE}
+    known = {
+        "mlcshe@1",
+        "ga@1",
+        "random@1",
+        "simood-ga@1",
+        "nsga2@1",
+        "mosat@1",
+        "mumoea@1",
+        EDGE,
+        THRESHOLDS,
+    }
     known |= {"deepjanus@1", "straddle@1", "bsv@1", NEAREST}
     assert known <= set(plugin_ids(GROUP))
 
@@ -115,7 +126,7 @@ def supports(plugin_id: str, space: SearchSpace) -> bool:
 
 LONG = [
     *itertools.product(
-        ("mumoea@1", "mosat@1", EDGE, NEAREST, "deepjanus@1", "straddle@1", "bsv@1"), ("traffic",)
+        ("mumoea@1", "mosat@1", EDGE, THRESHOLDS, NEAREST, "deepjanus@1", "straddle@1", "bsv@1"), ("traffic",)
     ),
     (EDGE, "mixed"),
     (EDGE, "errors"),
@@ -148,7 +159,7 @@ def test_algorithm_keeps_its_contract(plugin_id: str, name: str) -> None:
         budget=budget,
         config=config_for(checked, space),
         ends_itself=plugin_id in {SIMOOD, MINIMISE, SHARPEN},
-        repeats=plugin_id in {REPEAT, EDGE, MINIMISE, SHARPEN, TOLERANCE, NEAREST, "qd@1"},
+        repeats=plugin_id in {REPEAT, EDGE, THRESHOLDS, MINIMISE, SHARPEN, TOLERANCE, NEAREST, "qd@1"},
     )
     assert len(run.generations) >= 2
 

@@ -1,0 +1,153 @@
+"""Finding unsafe solutions where they are rare: a surrogate of the robustness proposes where it may be lowest.
+
+The surrogate is a forest of extremely randomised trees on the ranks of robustness, so that the scale of robustness
+does not matter. While nothing is unsafe, the lowest ranks are the level that the next proposals begin from, as in
+subset simulation; once something is, they begin from all unsafe solutions. Of the proposals, drawn at random and by
+changing parts of those solutions, those are chosen whose lower confidence bound is lowest, far from each other and
+from what is unsafe already.
+
+Sources: Geurts, Ernst and Wehenkel 2006 (trees); Au and Beck 2001 (subset simulation); Srinivas et al. 2010
+(confidence bounds). Needs scikit-learn, as `brink.search.surrogate` does.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from brink.search.features import Features
+from brink.search.metric import Metric
+from brink.search.space import BoolArray, FloatArray, SearchSpace
+
+TREES: Final = 40
+LEAF: Final = 2
+"""Minimum number of solutions in a leaf."""
+POOL: Final = 300
+"""Proposals from which those of a generation are chosen, at least."""
+LEVEL: Final = 0.1
+"""Share of the solutions, those with the lowest robustness, that proposals begin from while nothing is unsafe."""
+LEAST_PARENTS: Final = 5
+CONFIDENCE: Final = 1.0
+"""Standard deviations between the mean and the lower bound."""
+_BEST: Final = 0.2
+"""Share of the pool from which solutions far from each other are chosen."""
+_STEP: Final = 0.1
+"""Standard deviation of a shifted number, as a share of its range."""
+_REDRAWN: Final = (0.1, 0.5)
+"""Smallest and largest share of the numbers and categories that a proposal draws again."""
+
+
+class RobustnessSurrogate:
+    """Estimates the rank of the robustness of a solution: below 0 if it is probably unsafe.
+
+    Args:
+        space: Space of the solutions.
+        rows: Simulated solutions, shape ``(n, d)``.
+        robustness: Their distances to violation, shape ``(n,)``.
+        unsafe: Which count as unsafe, shape ``(n,)``.
+        seed: Seed of the trees, below 2**32.
+
+    Attributes:
+        size: Number of solutions that it has learnt from.
+    """
+
+    def __init__(
+        self, space: SearchSpace, rows: FloatArray, robustness: FloatArray, unsafe: BoolArray, *, seed: int
+    ) -> None:
+        # scikit-learn takes a second to load, and is needed by few searches.
+        from sklearn.ensemble import ExtraTreesRegressor
+
+        self.size = len(rows)
+        self._features = Features.of_space(space)
+        orders = self._features.in_every_order(rows)
+        values = np.tile(margins(robustness, unsafe), len(orders))
+        self._trees = ExtraTreesRegressor(TREES, min_samples_leaf=LEAF, random_state=seed, n_jobs=1)
+        self._trees.fit(orders.reshape(-1, orders.shape[-1]), values)
+
+    def predict(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the means and standard deviations over the trees, both of shape ``(n,)``.
+
+        Args:
+            rows: Solutions, shape ``(n, d)``.
+        """
+        features = self._features.of_rows(rows)
+        trees = np.array([tree.predict(features, check_input=False) for tree in self._trees.estimators_])
+        return trees.mean(axis=0), trees.std(axis=0)
+
+
+def margins(robustness: FloatArray, unsafe: BoolArray) -> FloatArray:
+    """Return the ranks of robustness, in (-1, 0) for unsafe and (0, 1) for other solutions, shape ``(n,)``.
+
+    Args:
+        robustness: Distances to violation, shape ``(n,)``.
+        unsafe: Which solutions count as unsafe, shape ``(n,)``.
+    """
+    values = np.empty(len(robustness))
+    for verdict, low in ((True, -1.0), (False, 0.0)):
+        mine = np.flatnonzero(unsafe == verdict)
+        order = np.argsort(np.argsort(robustness[mine], kind="stable"), kind="stable")
+        values[mine] = low + (order + 0.5) / max(len(mine), 1)
+    return values
+
+
+def proposed_rows(
+    space: SearchSpace,
+    surrogate: RobustnessSurrogate,
+    rows: FloatArray,
+    robustness: FloatArray,
+    unsafe: BoolArray,
+    count: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return solutions that may be unsafe, far from each other and from unsafe ones, shape ``(at most count, d)``.
+
+    Args:
+        space: The space.
+        surrogate: Estimates their robustness.
+        rows: Simulated solutions, shape ``(n, d)``.
+        robustness: Their distances to violation, shape ``(n,)``.
+        unsafe: Which count as unsafe, shape ``(n,)``.
+        count: Number of proposals.
+        rng: Source of all randomness.
+    """
+    # They are judged before constraints repair them, which takes longer than to judge them.
+    pool = _pool(space, parents(robustness, unsafe, rows), max(POOL, 8 * count), rng)
+    mean, deviation = surrogate.predict(pool)
+    best = np.argsort(mean - CONFIDENCE * deviation, kind="stable")
+    best = best[: max(count, min(3 * count, round(_BEST * len(pool))))]
+    chosen = [0]
+    metric = Metric.of_space(space)
+    candidates = np.array([space.join(space.repair(space.split(pool[place]), rng)) for place in best])
+    apart = metric.between(candidates, np.concatenate([rows[unsafe], candidates[:1]])).min(axis=1)
+    while len(chosen) < min(count, len(candidates)):
+        chosen.append(int(np.argmax(apart)))
+        apart = np.minimum(apart, metric.between(candidates, candidates[chosen[-1:]])[:, 0])
+    return np.asarray(candidates[chosen])
+
+
+def parents(robustness: FloatArray, unsafe: BoolArray, rows: FloatArray) -> FloatArray:
+    """Return the solutions that proposals begin from: unsafe ones, or the lowest level, shape ``(p, d)``.
+
+    Args:
+        robustness: Distances to violation, shape ``(n,)``.
+        unsafe: Which solutions count as unsafe, shape ``(n,)``.
+        rows: The solutions, shape ``(n, d)``.
+    """
+    least = max(LEAST_PARENTS, round(LEVEL * len(rows)))
+    order = np.argsort(margins(robustness, unsafe), kind="stable")
+    return np.asarray(rows[order[: max(int(unsafe.sum()), least)]])
+
+
+def _pool(space: SearchSpace, parents: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
+    """Return proposals before repair: a quarter drawn at random, the others near a parent.
+
+    Of these, one half has some columns drawn again, the other all numbers shifted, but for dormant ones, which are 0.
+    """
+    drawn = space.draw_unrepaired(size, rng)
+    changed = size * 3 // 4
+    kept = parents[rng.integers(len(parents), size=changed)]
+    share = rng.uniform(*_REDRAWN, (changed, 1))
+    redrawn = np.where(rng.random(kept.shape) < share, drawn[:changed], kept)
+    steps = _STEP * rng.standard_normal(kept.shape) * np.where(space.categorical, 0.0, space.ranges)
+    is_step = rng.random((changed, 1)) < 0.5
+    drawn[:changed] = np.where(is_step, kept + np.where(kept == 0.0, 0.0, steps), redrawn)
+    return drawn

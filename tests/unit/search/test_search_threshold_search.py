@@ -1,0 +1,277 @@
+"""The search for thresholds."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from brink.search import exploration
+from brink.search.algorithm import Candidate, Evaluation, Failed, Known, Scored, ask_all
+from brink.search.algorithms.thresholds import (
+    Job,
+    Purpose,
+    Stage,
+    ThresholdConfig,
+    ThresholdSearch,
+    ThresholdState,
+)
+from brink.search.algorithms.thresholds.parts import Parts
+from brink.search.algorithms.thresholds.stages import estimate_of, line_of
+from brink.search.algorithms.thresholds.state import Simulated
+from brink.search.document import Document
+from brink.search.errors import DocumentError
+from brink.search.problems import MTQ_SPACE, ONEMAX_SPACE, evaluate_mtq, evaluate_onemax, mtq_gap_to_boundary
+from brink.search.space import Categorical, Component, Dormant, FloatArray, Real, SearchSpace
+from brink.search.streams import Stream, generator
+from brink.search.testing import check_algorithm
+
+Answer = Callable[[Candidate], Evaluation]
+Ask = tuple[Candidate, Job]
+
+
+def _errors(number: int) -> tuple[Any, ...]:
+    return (
+        Categorical(f"error_{number}.type", ("none", "miss", "late")),
+        Real(f"error_{number}.severity", 0.0, 1.0, resolution=0.01),
+    )
+
+
+DRIVES = SearchSpace(
+    (
+        Component(
+            "scenario", (Categorical("weather", ("dry", "wet", "ice")), Categorical("road", ("a", "b")))
+        ),
+        Component(
+            "behaviour",
+            (*_errors(1), *_errors(2)),
+            tuple(Dormant(f"error_{n}.type", "none", (f"error_{n}.severity",)) for n in (1, 2)),
+            tuple((f"error_{n}.type", f"error_{n}.severity") for n in (1, 2)),
+        ),
+    )
+)
+"""Drives with two errors; on ice, they are unsafe without any."""
+STRETCH = 0.04
+
+
+def threshold(row: FloatArray, kind: float) -> float:
+    """Return the severity at which a drive turns."""
+    return 0.35 + 0.2 * float(row[0]) + (0.15 if kind == 1 else 0.0)
+
+
+def drive(candidate: Candidate) -> Scored:
+    """Evaluate a drive: its seed decides where it turns, by a logistic function with a stretch of `STRETCH`."""
+    row = DRIVES.join(candidate.vectors)
+    number = candidate.number if candidate.seed_number is None else candidate.seed_number
+    share = float(generator(7, Stream.CONTRACT, number).random())
+    shift = STRETCH / (2 * math.log(4)) * math.log(share / (1 - share))
+    margins = [threshold(row, row[c]) + shift - row[c + 1] for c in (2, 4) if row[c]]
+    robustness = min(margins, default=1.0)
+    if row[0] == 2:
+        robustness = -1.0
+    return Scored(unsafe=robustness < 0, robustness=robustness)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fewer_trees() -> Iterator[None]:
+    """Let the searches grow few trees, of which these small problems do not need more."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(exploration, "TREES", 8)
+        yield
+
+
+def search(
+    space: SearchSpace,
+    answer: Answer,
+    *,
+    budget: int,
+    seed: int = 1,
+    known: Known | None = None,
+    **settings: Any,
+) -> tuple[ThresholdState, list[Ask]]:
+    """Run a search; return its final state and all candidates with what they were for."""
+    algorithm, asked, config = ThresholdSearch(), list[Ask](), ThresholdConfig(**settings)
+    known = Known.nothing(space.dimension) if known is None else known
+    state = algorithm.start_with(space, config, seed=seed, budget=budget, known=known)
+    while not algorithm.finished(state):
+        state, _ = ask_all(algorithm, state)
+        asked += zip(state.pending, state.jobs, strict=False)
+        state = algorithm.tell(state, {c.number: answer(c) for c in state.pending})
+    return state, asked
+
+
+@pytest.fixture(scope="module")
+def drives() -> tuple[ThresholdState, list[Ask]]:
+    return search(DRIVES, drive, budget=600)
+
+
+def test_thresholds_lie_where_drives_turn(drives: tuple[ThresholdState, list[Ask]]) -> None:
+    state, _ = drives
+    parts, simulated = Parts(DRIVES), Simulated(state.archive)
+    found = [hunt for hunt in state.hunts if hunt.stage is Stage.THRESHOLD]
+    inside = []
+    for hunt in found:
+        line = line_of(hunt, parts, simulated)
+        (column,) = line.unit
+        at = estimate_of(state, hunt, parts, simulated)
+        low, middle, high = (
+            line.start[column] + place * (line.end[column] - line.start[column])
+            for place in (at.low, at.middle, at.high)
+        )
+        turns = threshold(line.end, line.end[column - 1])
+        assert middle == pytest.approx(turns, abs=STRETCH)
+        assert low - 0.5 * STRETCH <= turns <= high + 0.5 * STRETCH
+        inside.append(low <= turns <= high)
+    assert len(inside) >= 5
+    assert sum(inside) >= 0.5 * len(inside)  # few; test_search_thresholds counts many
+
+
+def test_a_scenario_that_is_unsafe_alone_costs_one_simulation(
+    drives: tuple[ThresholdState, list[Ask]],
+) -> None:
+    state, asked = drives
+    simulated = Simulated(state.archive)
+    alone = [place for place, hunt in enumerate(state.hunts) if hunt.stage is Stage.ALONE]
+    assert alone
+    assert all(simulated.row(state.hunts[place].anchor)[0] == 2 for place in alone)
+    purposes = {job.purpose for _, job in asked if job.purpose is not Purpose.EXPLORE and job.hunt in alone}
+    assert purposes <= {Purpose.SCREEN, Purpose.DROP}
+    others = [hunt for hunt in state.hunts if hunt.unit >= 0]
+    assert all(simulated.row(hunt.held)[0] != 2 for hunt in others)
+
+
+def test_errors_that_are_not_needed_are_dropped(drives: tuple[ThresholdState, list[Ask]]) -> None:
+    state, _ = drives
+    parts, simulated = Parts(DRIVES), Simulated(state.archive)
+    for hunt in state.hunts:
+        if hunt.unit >= 0:
+            assert len(parts.active(simulated.row(hunt.held))) == 1
+    kinds = {
+        parts.kind(simulated.row(hunt.held), hunt.unit)
+        for hunt in state.hunts
+        if hunt.stage is Stage.THRESHOLD
+    }
+    assert len(kinds) == 2
+
+
+def test_an_archive_says_what_a_line_is(drives: tuple[ThresholdState, list[Ask]]) -> None:
+    state, asked = drives
+    parts, simulated = Parts(DRIVES), Simulated(state.archive)
+    for candidate, job in asked:
+        row = DRIVES.join(candidate.vectors)
+        if job.purpose is Purpose.EXPLORE:
+            assert candidate.seed_number is None
+            continue
+        hunt = state.hunts[job.hunt]
+        if job.purpose not in (Purpose.TRIAL, Purpose.PROBE, Purpose.FAR):
+            assert candidate.seed_number == hunt.seed
+            continue
+        assert candidate.seed_number == (None if job.purpose is Purpose.TRIAL else hunt.seed)
+        changed = np.flatnonzero(row != simulated.row(hunt.held))
+        assert set(changed) <= set(parts.units[hunt.unit])
+
+
+def test_most_of_the_budget_goes_into_thresholds(drives: tuple[ThresholdState, list[Ask]]) -> None:
+    state, asked = drives
+    times = Counter(job.purpose for _, job in asked)
+    assert len(asked) == 600
+    assert times[Purpose.TRIAL] >= 0.35 * len(asked)
+    ended = [hunt for hunt in state.hunts if hunt.stage in (Stage.THRESHOLD, Stage.CHANCY)]
+    assert all(12 <= len(hunt.trials) <= 45 for hunt in ended)
+
+
+def test_without_chance_thresholds_are_bisected_to_the_resolution() -> None:
+    state, asked = search(MTQ_SPACE, lambda c: evaluate_mtq(c.vectors), budget=300, trials=0, in_flight=1)
+    simulated = Simulated(state.archive)
+    found = [hunt for hunt in state.hunts if hunt.stage is Stage.THRESHOLD]
+    assert len(found) >= 10
+    for hunt in found:
+        safe, unsafe = simulated.row(hunt.safe), simulated.row(hunt.unsafe)
+        assert np.abs(safe - unsafe).sum() <= 0.002 + 1e-12
+        assert mtq_gap_to_boundary(*(0.5 * (safe + unsafe))) <= 0.002
+    assert Purpose.TRIAL not in {job.purpose for _, job in asked}
+
+
+def test_chance_everywhere_is_no_threshold() -> None:
+    def coin(candidate: Candidate) -> Scored:
+        number = candidate.number if candidate.seed_number is None else candidate.seed_number
+        unsafe = bool(generator(3, Stream.CONTRACT, number, candidate.number).random() < 0.5)
+        return Scored(unsafe=unsafe, robustness=-1.0 if unsafe else 1.0)
+
+    space = SearchSpace((Component("a", (Real("x", 0.0, 1.0), Real("y", 0.0, 1.0))),))
+    state, _ = search(space, coin, budget=200)
+    stages = Counter(hunt.stage for hunt in state.hunts)
+    assert stages[Stage.CHANCY] >= 2
+    assert stages[Stage.THRESHOLD] <= 1
+
+
+def test_where_nothing_is_unsafe_all_simulations_explore() -> None:
+    state, asked = search(DRIVES, lambda _: Scored(unsafe=False, robustness=1.0), budget=120)
+    assert not state.hunts
+    assert {job.purpose for _, job in asked} == {Purpose.EXPLORE}
+    assert len(asked) == 120
+
+
+def test_in_a_space_of_categories_the_deciding_category_is_found() -> None:
+    state, asked = search(ONEMAX_SPACE, lambda c: evaluate_onemax(c.vectors), budget=200, trials=0)
+    simulated = Simulated(state.archive)
+    found = [hunt for hunt in state.hunts if hunt.stage is Stage.CATEGORY]
+    assert found or Purpose.MOVE not in {job.purpose for _, job in asked}
+    for hunt in found:
+        assert (simulated.row(hunt.safe) != simulated.row(hunt.unsafe)).sum() == 1
+
+
+def test_hunts_whose_simulations_fail_are_given_up() -> None:
+    def failing(candidate: Candidate) -> Evaluation:
+        return drive(candidate) if candidate.seed_number is None else Failed(reason="synthetic")
+
+    state, _ = search(DRIVES, failing, budget=150)
+    assert state.hunts
+    assert {hunt.stage for hunt in state.hunts} <= {Stage.GIVEN_UP, Stage.SCREEN}
+
+
+def test_rare_unsafe_solutions_are_found() -> None:
+    space = SearchSpace((Component("a", tuple(Real(f"x{place}", 0.0, 1.0) for place in range(6))),))
+
+    def corner(candidate: Candidate) -> Scored:
+        robustness = float(np.linalg.norm(space.join(candidate.vectors) - 0.8)) - 0.25
+        return Scored(unsafe=robustness < 0, robustness=robustness)
+
+    rows = np.random.default_rng(1).random((20_000, 6))
+    share = (np.linalg.norm(rows - 0.8, axis=1) < 0.25).mean()
+    state, asked = search(space, corner, budget=300, explore=1.0)
+    explored = [candidate for candidate, job in asked if job.purpose is Purpose.EXPLORE]
+    unsafe = sum(corner(candidate).unsafe for candidate in explored)
+    assert share < 0.002
+    assert unsafe >= 10
+    assert len(state.archive) == 300
+
+
+def test_known_results_guide_the_search() -> None:
+    rng = np.random.default_rng(4)
+    rows = np.array([DRIVES.join(DRIVES.sample(rng)) for _ in range(60)])
+    told = [drive(Candidate(number=n, vectors=DRIVES.split(row))) for n, row in enumerate(rows)]
+    known = Known(
+        rows=rows,
+        unsafe=np.array([one.unsafe for one in told]),
+        robustness=np.array([one.robustness for one in told]),
+        points=rows[:0],
+    )
+    check_algorithm(ThresholdSearch(), DRIVES, budget=120, evaluate=drive, repeats=True, known=known)
+
+
+@pytest.mark.parametrize(
+    ("entry", "wrong"),
+    [("hunts", [{"anchor": 0}]), ("jobs", [[0, 0, 0]]), ("explored", [10_000]), ("explored", None)],
+)
+def test_a_corrupt_document_is_refused(entry: str, wrong: object) -> None:
+    algorithm, config = ThresholdSearch(), ThresholdConfig()
+    state = algorithm.start(DRIVES, config, seed=1, budget=100)
+    stored = algorithm.dump(state)
+    broken = Document(
+        kind=stored.kind, version=stored.version, header={**stored.header, entry: wrong}, arrays=stored.arrays
+    )
+    with pytest.raises(DocumentError):
+        algorithm.load(DRIVES, config, broken, state.archive)
