@@ -15,13 +15,13 @@ from brink.search.thresholds.line import Line
 Curve = Callable[[float], float]
 
 SHAPES: dict[str, Curve] = {
-    "logistic": lambda x: 1 / (1 + math.exp(-x)),
+    "logistic": lambda x: 1 / (1 + math.exp(min(-x, 50.0))),
     "normal": lambda x: 0.5 * (1 + math.erf(x)),
     "linear": lambda x: min(max(0.5 + x, 0.0), 1.0),
     "gompertz": lambda x: math.exp(-math.exp(min(-x, 50.0))),
     "cauchy": lambda x: 0.5 + math.atan(x) / math.pi,
     "two steps": lambda x: 0.5 * sum(1 / (1 + math.exp(min(-20 * (x - at), 50.0))) for at in (-0.5, 0.5)),
-    "with lapses": lambda x: 0.03 + 0.94 / (1 + math.exp(-x)),
+    "with lapses": lambda x: 0.03 + 0.94 / (1 + math.exp(min(-x, 50.0))),
 }
 """Rising curves, only one of them logistic."""
 
