@@ -55,8 +55,8 @@ class Load(SimulatedProblem):
         self.params = params
         self.space = SearchSpace(
             (
-                Component("scenario", (Real("x", -2.0, 2.0, "m"),)),
-                Component("behaviour", (Real("y", -2.0, 2.0, "m"),)),
+                Component("scenario", (Real("x", -2.0, 2.0, "m", resolution=0.01),)),
+                Component("behaviour", (Real("y", -2.0, 2.0, "m", resolution=0.01),)),
             )
         )
         self.algorithm_defaults = {"radius": 0.2}

@@ -44,8 +44,8 @@ def figure_guard(evaluation: GuardEvaluation) -> Figure:
     figure = new_figure(
         HEIGHT_PX,
         f"Guard on {evaluation.drives:,} drives ({evaluation.sensor})",
-        f"{evaluation.violations:,} of the drives violate {' or '.join(evaluation.requirements)}.\nLeft: each point "
-        f"is an alarm threshold; solid: predicted at least {LEAD_S:g} s ahead, dashed: 0.5 s, dotted: 3 s. Right: "
+        f"{evaluation.violations:,} of the drives violate {' or '.join(evaluation.requirements)}. Left: each point "
+        f"is an alarm threshold; solid: predicted at least {LEAD_S:g} s ahead, dashed: 0.5 s, dotted: 3 s.\nRight: "
         f"with alarms in {FALSE_ALARMS:.0%} of the safe drives (dotted on the left), by thresholds of other drives.",
     )
     left, right = add_panels(figure, 2, top_px=190, bottom_px=70, left_px=96)

@@ -377,7 +377,7 @@ def test_computed_pairs_are_minimised_without_workers(client: httpx.Client) -> N
 @pytest.mark.parametrize(
     ("wanted", "message"),
     [
-        ({"kind": "improve"}, "'confirm', 'component' or 'minimise'"),
+        ({"kind": "improve"}, "'confirm', 'component', 'minimise' or 'sharpen'"),
         ({"kind": "confirm", "repeats": 1}, "greater than or equal to 2"),
         ({"kind": "component", "repeats": 10}, "expected repeats only to confirm pairs"),
         ({"kind": "minimise", "eps": 2}, "less than or equal to 1"),
