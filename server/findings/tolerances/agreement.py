@@ -102,23 +102,34 @@ def agreement_view(
                 caused=caused,
                 low=low,
                 high=high,
-                agrees=low <= caused <= high,
+                agrees=low <= caused <= high if len(levels) else None,
             )
         )
     if not cells:
         raise InvalidInput.at(_FRESH, f"campaign {other.id} has no cell in common with {campaign.id}")
-    agreeing, drives = sum(cell.agrees for cell in cells), sum(cell.drives for cell in cells)
+    told = [cell.agrees for cell in cells if cell.agrees is not None]
+    drives = sum(cell.drives for cell in cells)
     return AgreementView(
         campaign=campaign.id,
         fresh=other.id,
         confidence=confidence,
         drives=drives,
-        agreeing=agreeing,
-        note=f"{drives} fresh drives: in {agreeing} of {len(cells)} cells, as many violate because of the error as "
-        f"predicted, within intervals of {confidence:.0%}",
+        agreeing=sum(told),
+        note=_note(drives, told, len(cells) - len(told), confidence),
         cells=cells,
         table=_table(cells),
     )
+
+
+def _note(drives: int, told: Sequence[bool], empty: int, confidence: float) -> str:
+    """Say in how many cells fresh drives contradict a prediction, which few drives seldom do."""
+    contrary = len(told) - sum(told)
+    note = (
+        f"{drives:,} fresh drives contradict the predictions in {contrary} of {len(told)} cells: there, the number "
+        f"that violate because of the error is outside its interval of {confidence:.0%}. The fewer drives a cell "
+        "has, the less it can contradict"
+    )
+    return f"{note}. {empty} cells have none" if empty else note
 
 
 def _table(cells: Sequence[AgreementCell]) -> Table:
@@ -131,7 +142,7 @@ def _table(cells: Sequence[AgreementCell]) -> Table:
             Column(name="drives", title="drives", format=Format.COUNT),
             Column(name="caused", title="caused", format=Format.COUNT),
             Column(name="predicted", title="predicted"),
-            Column(name="agrees", title="as predicted", format=Format.FLAG),
+            Column(name="agrees", title="as predicted", format=Format.FLAG, optional=True),
         ],
         rows=[
             [one.error, one.condition, one.drives, one.caused, f"{one.low} to {one.high}", one.agrees]

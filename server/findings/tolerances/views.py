@@ -216,7 +216,9 @@ class AgreementCell(View):
     caused: Annotated[int, Field(description="Fresh drives with a violation that the error caused.")]
     low: Annotated[int, Field(description="Lower end of the prediction interval of that number.")]
     high: int
-    agrees: bool
+    agrees: Annotated[
+        bool | None, Field(description="Whether it lies in that interval; null without fresh drives.")
+    ]
 
 
 class AgreementView(View):
