@@ -22,7 +22,7 @@ pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
 def page(site: Served, browse: Browse) -> Page:
     """The page of the urban campaign, with its map drawn and its table filled."""
     page = browse(loose(site.urban))
-    shown(page.get_by_text("40 solutions.")).to_be_visible()
+    shown(page.get_by_text(re.compile(r"\d+ solutions\. Similar"))).to_be_visible()
     shown(page.locator("section[aria-label='The boundary'] tbody tr").first).to_be_visible()
     return page
 
@@ -63,14 +63,14 @@ def test_the_table_of_boundary_solutions_is_filtered_and_sorted(site: Served, pa
     shown(region).to_contain_text(f"{len(solutions)} distinct boundary solutions")
 
     unsafe = [one for one in solutions if one["verdict"] == "unsafe"]
-    assert 0 < len(unsafe) <= 12, "one page of the table"
+    assert 0 < len(unsafe) < len(solutions)
     region.get_by_role("searchbox", name="Find").fill("unsafe")
     shown(region.get_by_text(f"{len(unsafe)} of {len(solutions)} rows match.")).to_be_visible()
-    shown(rows).to_have_count(len(unsafe))
+    shown(rows).to_have_count(min(len(unsafe), 12))  # one page of the table
     region.get_by_role("searchbox", name="Find").fill("safe")
     shown(region.get_by_text(f"{len(solutions) - len(unsafe)} of {len(solutions)} rows")).to_be_visible()
 
-    number = solutions[-1]["number"]
+    number = max(one["number"] for one in solutions)
     region.get_by_role("searchbox", name="Find").fill(str(number))
     shown(rows.get_by_role("link", name=str(number), exact=True)).to_be_visible()
     region.get_by_role("searchbox", name="Find").fill("")
