@@ -44,7 +44,7 @@ def test_the_how_to_page_runs_from_top_to_bottom(tmp_path: Path, monkeypatch: py
     names: dict[str, Any] = {}
     for block in blocks:
         exec(compile(block, "use-brink-from-python.md", "exec"), names)
-    assert len(names["result"].pairs()) == 6, "as the page says"
+    assert len(names["result"].pairs()) == 8, "as the page says"
     assert len(names["found"].pairs()) == 5
     assert names["study"].finished
 
