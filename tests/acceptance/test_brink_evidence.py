@@ -11,11 +11,11 @@ from PIL import Image
 from support.databases import Databases, on_sqlite
 from support.processes import brink
 
-# About three drives in ten are unsafe; with neighbourhoods that hold everything all of them lie on that boundary.
+# About four drives in ten are unsafe; with neighbourhoods that hold everything all of them lie on that boundary.
 BODY: dict[str, Any] = {
     "name": "half",
     "problem": {"id": "urban-injected@1"},
-    "algorithm": {"id": "random@1", "params": {"radius": 1.0, "p_th": 0.31, "z": 0.2}},
+    "algorithm": {"id": "random@1", "params": {"radius": 1.0, "p_th": 0.39, "z": 0.2}},
     "budget": {"simulations": 60},
     "seed": 3,
     "repeats": 2,
