@@ -49,7 +49,7 @@ class Purpose(IntEnum):
 
 
 class Stage(IntEnum):
-    """Progress of a hunt. The numbers are stored."""
+    """How far a hunt has come. Archives store the numbers, so they must not change."""
 
     SCREEN = 0
     """Is the scenario alone unsafe, and which errors does it take?"""
