@@ -207,7 +207,7 @@ def test_headlines_of_all_algorithms_have_at_most_25_words(client: httpx.Client)
 @pytest.mark.long("runs searches for tolerances and violations")
 def test_headlines_of_tolerances_and_violations_have_at_most_25_words(client: httpx.Client) -> None:
     tolerances = submit(client, tolerance(simulations=400))
-    FakeWorker(client, capabilities=("brink-drive-errors@1",), judge=judge_errors).work(tolerances)
+    FakeWorker(client, capabilities=("brink-drive-errors@2",), judge=judge_errors).work(tolerances)
     traffic = {
         "name": "traffic",
         "problem": {"id": "npc-actions@1", "params": {"participants": 3, "duration_s": 12.0}},

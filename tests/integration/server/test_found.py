@@ -1,6 +1,7 @@
 """What each campaign found, in a few words in the list of campaigns."""
 
 import time
+from threading import Event
 from typing import Any
 
 import httpx
@@ -88,15 +89,18 @@ def test_a_list_that_polls_works_nothing_out_twice_and_waits_for_nothing(
 ) -> None:
     campaign = finish(client, ball(name="edge", algorithm=EDGE))
     restored: list[str] = []
+    listed = Event()
     stored = Archives.stored
 
     def counted(self: Archives, campaign: Campaign) -> Any:
+        assert listed.wait(30.0)
         restored.append(campaign.id)
         return stored(self, campaign)
 
     monkeypatch.setattr(Archives, "stored", counted)
     first = client.get(f"{API}/overview")
     assert expect(first)["found"] == [None]
+    listed.set()
     column(client)
     etag = client.get(f"{API}/overview").headers["etag"]
     assert etag != first.headers["etag"]

@@ -232,7 +232,7 @@ def test_what_a_cancelled_follow_up_did_not_simulate_was_not_tried(client: httpx
     assert {pair["component"]["state"] for pair in view["pairs"]} == {"not tried"}
     assert sorted(pair["minimality"]["state"] for pair in view["pairs"]) == ["minimal", "not tried"]
     assert {one["kind"]: one["reason"] for one in view["offers"]} == dict.fromkeys(
-        ("confirm", "component", "minimise"), ""
+        ("confirm", "component", "minimise", "sharpen"), ""
     )
 
 
