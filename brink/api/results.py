@@ -66,6 +66,8 @@ class FetchedArchive:
         digests: Digest of the episode of each solution, empty if it had none; None from an older coordinator.
         generations: Size of the archive after each generation.
         outcomes: What the simulations showed about all requirements, for each solution of the archive.
+        simulator: The simulator, such as ``brink-drive@3``; None if nothing was simulated, or from an older
+            coordinator.
     """
 
     id: str
@@ -77,6 +79,7 @@ class FetchedArchive:
     digests: tuple[str, ...] | None
     generations: tuple[int, ...]
     outcomes: OutcomesView
+    simulator: str | None = None
 
 
 async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
@@ -106,6 +109,7 @@ async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
         digests=tuple(arrays["digests"].tolist()) if "digests" in arrays else None,
         generations=tuple(int(end) for end in ends),
         outcomes=outcomes,
+        simulator=view.simulator,
     )
 
 

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from brink.api.client import Api
 from brink.api.live import failures_of
-from brink.api.results import fetch_archive, read_all_pairs
+from brink.api.results import FetchedArchive, fetch_archive, read_all_pairs
 from brink.cli.campaigns import ALL_GENERATIONS
 from brink.cli.options import (
     AsJson,
@@ -23,7 +23,7 @@ from brink.cli.options import (
     program,
     with_api,
 )
-from brink.report.comparison import compared_archives
+from brink.report.comparison import compared_archives, simulator_words
 from brink.search.analysis.comparison import Row, control_summaries
 from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS
@@ -67,17 +67,28 @@ def compare(
             raise InvalidInput.at("--d-th", f"expected one of {', '.join(map(str, D_THS))}, got {value:g}")
     unique = list(dict.fromkeys(campaigns))
 
-    async def work(api: Api) -> tuple[list[Row], list[Progress], dict[str, PairsView | TooManyPairs]]:
-        rows = await compared(api, unique, control=control)
+    async def work(
+        api: Api,
+    ) -> tuple[list[FetchedArchive], list[Progress], dict[str, PairsView | TooManyPairs]]:
+        fetched = [await fetch_archive(api, campaign) for campaign in unique]
         since = {"since": ALL_GENERATIONS}
         progress = [await api.read(Progress, f"/campaigns/{one}/progress", since) for one in unique]
-        return rows, progress, {one.id: await read_all_pairs(api, one.id) for one in progress}
+        return fetched, progress, {one.id: await read_all_pairs(api, one.id) for one in progress}
 
-    rows, progress, pairs = with_api(server, database, work)
+    fetched, progress, pairs = with_api(server, database, work)
+    rows, simulators = compared_archives(fetched, control=control), {one.id: one.simulator for one in fetched}
     if as_json:
-        print_json([row | {"pairs": _counts(pairs[row["campaign"]])} for row in rows_json(rows)])
+        print_json(
+            [
+                row | {"simulator": simulators[row["campaign"]], "pairs": _counts(pairs[row["campaign"]])}
+                for row in rows_json(rows)
+            ]
+        )
         return
     screen = console()
+    if words := simulator_words(fetched):
+        screen.print(words, soft_wrap=True, style="yellow")
+        screen.print()
     screen.print(_pairs_table(progress, pairs))
     screen.print()
     boundary = {one.id for one in progress if one.is_for("boundary")}
@@ -109,11 +120,6 @@ def _pairs_table(progress: Sequence[Progress], pairs: Mapping[str, PairsView | T
             confirmed = f"{counts['confirmed']:,}" if counts["tried"] else "–"
             table.add_row(label, *cells, f"{counts['distinct']:,}", f"{counts['tried']:,}", confirmed)
     return table
-
-
-async def compared(api: Api, campaigns: Sequence[str], *, control: bool) -> list[Row]:
-    """Fetch campaigns and compare them."""
-    return compared_archives([await fetch_archive(api, campaign) for campaign in campaigns], control=control)
 
 
 def rows_json(rows: Sequence[Row]) -> list[dict[str, Any]]:

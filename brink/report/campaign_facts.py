@@ -198,7 +198,7 @@ async def _jobs(api: Api, campaign: str) -> Jobs:
 
 
 async def _random_search(api: Api, view: CampaignView) -> Sequence[CampaignView]:
-    """Return finished campaigns of random search on the same problem, the largest first."""
+    """Return finished campaigns of random search on the same problem and simulator, the largest first."""
     if is_baseline(view.body.algorithm.id):
         return []
     asked = {"limit": LISTED, "status": CampaignStatus.FINISHED.value}
@@ -209,4 +209,5 @@ async def _random_search(api: Api, view: CampaignView) -> Sequence[CampaignView]
         and one.body.problem == view.body.problem
         and one.body.ground_truth == view.body.ground_truth
     ]
-    return sorted(found, key=lambda one: -one.simulations)
+    alone = [await api.read(CampaignView, f"/campaigns/{one.id}") for one in found]  # lists name no simulator
+    return sorted((one for one in alone if one.simulator == view.simulator), key=lambda one: -one.simulations)

@@ -51,6 +51,7 @@ from brink.server.campaigns.deletion import TreeMember
 from brink.server.campaigns.known import count_known
 from brink.server.campaigns.plan import finds_of, minimises_of
 from brink.server.campaigns.reported import ReportedResults
+from brink.server.campaigns.simulators import simulator_of
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign, labelled
 from brink.server.campaigns.view_store import read_campaign_progress
 from brink.server.dashboard.found import Found, found_so_far
@@ -166,7 +167,9 @@ async def list_campaigns(
 @router.get("/{campaign_id}")
 async def get_campaign(campaign_id: str, services: Services) -> CampaignView:
     """Return a campaign by its id or a unique prefix of it."""
-    return campaign_view(await services.campaigns.get(campaign_id))
+    campaign = await services.campaigns.get(campaign_id)
+    simulator = await read(services.engines, lambda connection: simulator_of(connection, campaign.id))
+    return campaign_view(campaign).model_copy(update={"simulator": simulator})
 
 
 @router.patch("/{campaign_id}")

@@ -50,6 +50,13 @@ class CampaignView(View):
     ] = Field(default_factory=list)
     body: CampaignBody
     thresholds: Thresholds
+    simulator: Annotated[
+        str | None,
+        Field(
+            description="Simulator with its version that the campaign began with; null where nothing was simulated, "
+            "and in lists."
+        ),
+    ] = None
 
 
 class CampaignList(View):

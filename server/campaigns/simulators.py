@@ -46,19 +46,24 @@ def other_simulator(connection: Connection, campaign: Campaign) -> str | None:
     problem = plan.problem
     if not isinstance(problem, SimulatedProblem):
         return None
-    query = (
-        select(JobRow.needs)
-        .where(JobRow.campaign_id == campaign.id, JobRow.kind == JobKind.EPISODE)
-        .order_by(JobRow.id)
-        .limit(1)
-    )
-    began_with = connection.execute(query).scalar_one_or_none()
+    began_with = simulator_of(connection, campaign.id)
     if began_with is None or began_with == problem.needs:
         return None
     return (
         f"this campaign was simulated with {began_with}, but {campaign.body.problem.id} now uses {problem.needs}, "
         "whose results differ. Continue with the version of Brink that started the campaign, or submit it again."
     )
+
+
+def simulator_of(connection: Connection, campaign_id: str) -> str | None:
+    """Return the simulator that a campaign began with, such as ``brink-drive@3``; None if nothing was simulated."""
+    query = (
+        select(JobRow.needs)
+        .where(JobRow.campaign_id == campaign_id, JobRow.kind == JobKind.EPISODE)
+        .order_by(JobRow.id)
+        .limit(1)
+    )
+    return connection.execute(query).scalar_one_or_none()
 
 
 def changed_sources(before: Mapping[str, str], now: Mapping[str, str]) -> str | None:

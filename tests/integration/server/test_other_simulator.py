@@ -2,10 +2,22 @@
 
 import httpx
 from sqlalchemy import update
-from support.api import FakeWorker, ball, coordinator, eventually, expect, progress, submit
+from support.api import (
+    FakeWorker,
+    ball,
+    coordinator,
+    eventually,
+    expect,
+    finish,
+    listening_coordinator,
+    progress,
+    submit,
+)
 from support.databases import on_sqlite
 from support.problems import SIMULATOR
+from typer.testing import CliRunner
 
+from brink.cli.commands import app
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow
 
@@ -57,3 +69,27 @@ def test_a_finished_campaign_is_shown_but_neither_repeated_nor_traced(
     answer = expect(client.post(f"{API}/{campaign}/solutions/3/trace"), 503)
     assert f"no live worker can run {EARLIER}" in answer["detail"]
     assert f"simulated with {EARLIER}, but ball@1 now uses {SIMULATOR}" in answer["detail"]
+
+
+@on_sqlite
+def test_campaigns_of_two_simulators_are_compared_with_a_warning(
+    engines: Engines, database_url: str, small_problems: None
+) -> None:
+    with listening_coordinator(database_url) as client:
+
+        def compared(*campaigns: str) -> str:
+            words = ["compare", *campaigns, "--no-control", "--server", str(client.base_url)]
+            shown = CliRunner().invoke(app, words)
+            assert shown.exit_code == 0, shown.output
+            return " ".join(shown.output.split())
+
+        before = finish(client, ball(name="before"))
+        simulate_earlier(engines)
+        after, again = (finish(client, ball(name=name, seed=7)) for name in ("after", "again"))
+        simulators = [expect(client.get(f"{API}/{one}"))["simulator"] for one in (before, after)]
+        assert simulators == [EARLIER, SIMULATOR]
+        told = (
+            f"different simulators, which may explain differences between the campaigns: {EARLIER}: before; "
+        )
+        assert told in compared(before, after)
+        assert "different simulators" not in compared(after, again)

@@ -155,11 +155,13 @@ function note(place, all) {
   const bodies = all.map((one) => one.campaign?.body).filter(Boolean);
   const problems = new Set(bodies.map((body) => body.problem.id));
   const worlds = new Set(bodies.map((body) => JSON.stringify(body.problem)));
+  const simulators = new Set(all.map((one) => one.campaign?.simulator).filter(Boolean));
   const budgets = new Set(all.map((one) => one.progress?.budget).filter(Boolean));
   const others = all.filter((one) => one.progress && !searchesBoundary(one));
   const words = [
     problems.size > 1 && ["warn", "The campaigns search different problems, so their results are not comparable."],
     problems.size === 1 && worlds.size > 1 && ["warn", "The problems of the campaigns have different parameters, which may explain differences."],
+    simulators.size > 1 && ["warn", `The campaigns were simulated with different simulators (${[...simulators].join(", ")}), which may explain differences. Simulate them again with one simulator to compare anything else.`],
     problems.size === 1 && budgets.size > 1 && ["warn", "The budgets of the campaigns differ, so the totals are not comparable. The charts compare equal numbers of simulations."],
     others.length > 0 && ["", `${others.map((one) => one.name).join(", ")} ${others.length === 1 ? "does" : "do"} not search for the hazard boundary, so DBS is not shown for ${others.length === 1 ? "it" : "them"}.`],
     ...all.filter((one) => one.trouble).map((one) => ["bad", `${one.name}: ${one.trouble}`]),
@@ -177,6 +179,7 @@ function factRows(all, { measure, t_b, d_th, i, j }) {
   const control = (say) => scored((scores) => (scores.control ? say(scores.control) : "none"));
   return [
     row("Problem", (one) => one.campaign && plainId(one.campaign.body.problem.id)),
+    row("Simulator", (one) => one.campaign && (one.campaign.simulator ?? "none")),
     row("Algorithm", (one) => one.campaign && plainId(one.campaign.body.algorithm.id)),
     row("Seed", (one) => one.campaign && String(one.campaign.body.seed)),
     row("Status", (one) => one.progress?.status),
