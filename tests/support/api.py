@@ -23,7 +23,7 @@ from brink.server.db.engine import Engines
 from brink.server.db.models import Base
 from brink.server.runtime.coordinator import EmbeddedCoordinator
 from brink.server.settings import Settings
-from brink.worker.wire import Completed, JobFailed, LeasedJob, LeaseReply
+from brink.worker.wire import Completed, JobFailed, LeasedJob, LeaseReply, WireVerdict
 from support.problems import SIMULATOR, Ball, simulated
 
 PATIENCE_S = 90.0
@@ -203,6 +203,20 @@ def await_erasure(engines: Engines) -> None:
 def completes(job: LeasedJob) -> Completed | JobFailed:
     """Return the outcome that the simulator of the ball would give."""
     return simulated(job.spec)
+
+
+def perturbed(job: LeasedJob) -> Completed | JobFailed:
+    """As `completes`, but let a perturbation of at least a medium intensity be unsafe.
+
+    The jobs of other campaigns are completed, too: those that record the traces of a campaign which has finished wait
+    for whoever comes next.
+    """
+    if "strong" not in job.spec["behaviour"]:
+        return completes(job)
+    robustness = 0.5 - job.spec["behaviour"]["strong"]
+    return Completed(
+        verdicts={"distance@1": WireVerdict(robustness=robustness, unit="m", violated_at_s=None)}
+    )
 
 
 @dataclass

@@ -6,7 +6,7 @@ from typing import Any
 
 import httpx
 import pytest
-from support.api import FakeWorker, ball, eventually, expect, finish, listening_coordinator, submit
+from support.api import FakeWorker, ball, eventually, expect, finish, listening_coordinator, perturbed, submit
 from support.databases import Databases, on_sqlite
 from support.problems import small_problems
 from support.tolerance import body as tolerance
@@ -19,7 +19,6 @@ from brink.server.campaigns.store import Campaign
 from brink.server.dashboard import found
 from brink.server.findings.kind import Listed
 from brink.server.findings.pairs.kind import PairsKind
-from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
 pytestmark = pytest.mark.long("the words of the list of campaigns")
 
@@ -52,14 +51,6 @@ def test_pairs_are_counted_and_then_how_many_of_them_hold(client: httpx.Client) 
         "the follow-up is taken into account",
     )
     assert column(client)[again["campaign"]] == ""
-
-
-def perturbed(job: LeasedJob) -> Completed:
-    """Let a perturbation of at least a medium intensity be unsafe."""
-    robustness = 0.5 - job.spec["behaviour"]["strong"]
-    return Completed(
-        verdicts={"distance@1": WireVerdict(robustness=robustness, unit="m", violated_at_s=None)}
-    )
 
 
 def test_tolerances_violations_and_combinations_are_counted(client: httpx.Client) -> None:
