@@ -90,6 +90,28 @@ class BoundaryConfig(LedgerConfig):
     unused: ClassVar[tuple[str, ...]] = ()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairConfig(LedgerConfig):
+    """Settings of every algorithm that narrows pairs: when one is tight, and which are distinct."""
+
+    eps: float = setting(
+        0.02,
+        label="Distance within a pair",
+        main=True,
+        help="Largest distance of a tight pair.",
+        ge=1e-6,
+        le=1,
+    )
+    d_th: float = setting(
+        0.2,
+        label="Distance between pairs",
+        main=True,
+        help="Smallest distance between two distinct pairs.",
+        ge=0,
+        le=1,
+    )
+
+
 def row_keys(rows: FloatArray) -> list[bytes]:
     """Return the bytes of each row, shape ``(n, d)``; two keys are equal if and only if the rows are."""
     blob = np.ascontiguousarray(rows).tobytes()

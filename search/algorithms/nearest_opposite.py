@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from brink.search.algorithm import Evaluation, Scored
-from brink.search.algorithms.ledger import Ledger, LedgerAlgorithm, LedgerConfig, LedgerState, stored_rows
+from brink.search.algorithms.ledger import Ledger, LedgerAlgorithm, LedgerState, PairConfig, stored_rows
 from brink.search.algorithms.pool import random_rows
 from brink.search.document import Document
 from brink.search.errors import DocumentError
@@ -43,25 +43,9 @@ class Status(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NearestOppositeConfig(LedgerConfig):
+class NearestOppositeConfig(PairConfig):
     """Settings of the search."""
 
-    eps: float = setting(
-        0.02,
-        label="Distance within a pair",
-        main=True,
-        help="Largest distance of a tight pair.",
-        ge=1e-6,
-        le=1,
-    )
-    d_th: float = setting(
-        0.2,
-        label="Distance between pairs",
-        main=True,
-        help="Smallest distance between two distinct pairs.",
-        ge=0,
-        le=1,
-    )
     explore: float = setting(0.4, help="Share of the budget for random draws at the start.", ge=0.01, le=1)
     generation_size: int = setting(20, help="Candidates per generation.", ge=1, le=10_000)
     in_flight: int = setting(3, help="Generations in flight at a time.", ge=1, le=1000)

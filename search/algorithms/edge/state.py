@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from brink.search.algorithms.edge.prior import Prior
-from brink.search.algorithms.ledger import LedgerConfig, LedgerState
+from brink.search.algorithms.ledger import LedgerState, PairConfig
 from brink.search.archive import Archive
 from brink.search.settings import setting
 from brink.search.space import BoolArray, FloatArray, SearchSpace
@@ -58,20 +58,9 @@ class Status(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class EdgeConfig(LedgerConfig):
+class EdgeConfig(PairConfig):
     """Settings of the search for pairs."""
 
-    eps: float = setting(
-        0.02, label="Distance within a pair", main=True, help="Largest distance of a pair.", ge=1e-6, le=1
-    )
-    d_th: float = setting(
-        0.2,
-        label="Distance between pairs",
-        main=True,
-        help="Smallest distance between two distinct pairs.",
-        ge=0,
-        le=1,
-    )
     explore: float = setting(0.4, help="Share of the budget for random draws at the start.", ge=0.01, le=1)
     margin: float = setting(
         0.2,
