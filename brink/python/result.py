@@ -47,6 +47,9 @@ from brink.server.findings.finding import Finding, Findings, Role
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.pairs.table import pair_columns, pair_rows
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView
+from brink.server.findings.table import Table
+from brink.server.findings.thresholds.kind import COLUMNS as THRESHOLD_COLUMNS
+from brink.server.findings.thresholds.kind import KIND as THRESHOLDS
 from brink.server.findings.violations.views import Violations
 from brink.server.states import CampaignStatus
 from brink.server.views import SolutionView
@@ -262,6 +265,7 @@ class AsyncResult(CampaignResult):
         *,
         component: bool = False,
         minimise: bool = False,
+        sharpen: bool = False,
         limit: int | None = None,
         workers: int = 2,
     ) -> "pd.DataFrame":
@@ -272,20 +276,24 @@ class AsyncResult(CampaignResult):
             component: Whether to simulate the unsafe sides with ground truth in place of the component: who is to
                 blame?
             minimise: Whether to revert the differences one by one: which of them matter?
+            sharpen: Whether to bring the pairs to thresholds: where exactly between their sides does it turn?
             limit: Maximum number of pairs to follow up, first ones first.
             workers: Worker processes, unless a coordinator elsewhere has its own.
 
         Returns:
-            The pairs, with what was found.
+            The pairs, with what was found; with ``sharpen``, the thresholds, the narrowest first.
 
         Raises:
             CoordinatorError: There is nothing to simulate, or it cannot be simulated.
             CampaignUnfinished: The simulations ended early.
         """
-        asked = follow_up_requests({}, confirm, component=component, minimise=minimise, limit=limit)
+        asked = follow_up_requests(
+            {}, confirm, component=component, minimise=minimise, sharpen=sharpen, limit=limit
+        )
         if not asked:
             raise InvalidInput.at(
-                "confirm", "expected confirm=30, component=True or minimise=True; got neither"
+                "confirm",
+                "expected confirm=30, component=True, minimise=True or sharpen=True; got none of them",
             )
         with environment_with(self.function) as environment:
             async with with_workers(self._connection, workers, environment) as session:
@@ -297,6 +305,8 @@ class AsyncResult(CampaignResult):
                     paths = [f"/campaigns/{view.campaign}"]
                     check_finished(await session.follow(view.campaign, Silent(), paths, check))
                 self._words.finding = await _finding(api, self._progress)
+                if sharpen:
+                    return await _thresholds_of(api, view.campaign)
         return await self.pairs()
 
     async def findings(self, kind: str | None = None, table: str | None = None) -> "pd.DataFrame":
@@ -492,6 +502,13 @@ class Result(CampaignResult, Synchronous[AsyncResult]):
         )
         name, finding, facts = map(html.escape, (self.name, self.finding, facts))
         return f'<h4>{name}</h4><p><b>{finding}</b></p><p style="opacity:0.7">{facts}</p>'
+
+
+async def _thresholds_of(api: Api, campaign: str) -> "pd.DataFrame":
+    """Return the thresholds that a follow-up of pairs found as a data frame; without any, it has all columns."""
+    finding = await api.read(Finding, f"/campaigns/{campaign}/findings/{THRESHOLDS.id}")
+    empty = Table(name=THRESHOLDS.id, title="", columns=THRESHOLD_COLUMNS, rows=[])
+    return table_frame(finding.table(None) or empty)
 
 
 async def _finding(api: Api, progress: Progress) -> str:

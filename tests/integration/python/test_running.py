@@ -127,6 +127,31 @@ def test_pairs_of_a_function_with_chance_are_simulated_again(folder: Path) -> No
         stored.check_pairs(confirm=31)
 
 
+@pytest.mark.long("runs a search with workers")
+def test_pairs_of_a_function_are_brought_to_thresholds(folder: Path) -> None:
+    def noisy(x: float, y: float, seed: int) -> float:
+        return x - y + np.random.default_rng(seed).normal(0, 0.003)
+
+    result = brink.search(
+        noisy,
+        {"x": (0.0, 1.0), "y": (0.0, 1.0)},
+        algorithm="nearest-opposite@1",
+        params={"d_th": 0.2},
+        simulations=120,
+        workers=1,
+        progress=False,
+    )
+    thresholds = result.check_pairs(sharpen=True, limit=2)
+    assert set(thresholds["outcome"]) == {"threshold"}
+    for held, low, middle, high in thresholds[["held", "low", "middle", "high"]].values.tolist():
+        zero = float(held.split()[-1])  # the function is 0 where both coordinates are equal
+        assert low <= middle <= high
+        assert abs(middle - zero) < 0.02
+    assert (result.check_pairs(sharpen=True, limit=2)["middle"] == thresholds["middle"]).all(), "asked once"
+    with pytest.raises(InvalidInput, match="minimise=True or sharpen=True; got none of them"):
+        result.check_pairs()
+
+
 def test_an_exception_in_a_function_is_shown_and_stops_the_search(folder: Path) -> None:
     def broken(x: float) -> float:
         raise RuntimeError(f"no road at {x:.0f}")
