@@ -1,39 +1,46 @@
-"""The searches for pairs on one problem at equal budgets, and what differs between the sides of their pairs.
+"""The searches for thresholds and pairs on one problem at equal budgets: `edge@2`, its rivals, and the baselines.
 
-An experiment of the product runs the searches, checks included, and confirms their pairs with fresh seeds; so it can
-be stopped and continued, and reported with `brink experiment report`. The table tells apart pairs of which one number
-moves, as a threshold needs, and pairs of which a category changes. What a search found is a `Tally`; a further way to
-count it, such as by the thresholds that its pairs lead to, is a further column.
+Each rival runs alone, and followed by the same estimation of thresholds on the same total budget (`finder_runs`).
+What a search found is a `Tally`; a further way to count it is a further attribute. Completed runs are kept in a
+folder, so the same comparison continues after an interruption.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from statistics import fmean
 from typing import Any, Final, Self
 
-from rich.console import Console
+import numpy as np
 from rich.table import Table
 
-from brink.api.client import Api
-from brink.api.live import ExperimentDisplay, Steps
-from brink.api.runs import ExperimentRun
+from benchmarks.finder_runs import (
+    FRESH,
+    End,
+    Estimated,
+    Part,
+    Run,
+    Runner,
+    estimated_thresholds,
+    found_pairs,
+    narrow_pairs,
+    pairs_to_sharpen,
+)
+from benchmarks.measurement import Progress
+from benchmarks.trials import code_fingerprint, mapped, stored
 from brink.api.terminal import plain_table
-from brink.cli.experiment_pairs import fetch_experiment_pairs, pair_repeats_of, run_follow_ups
-from brink.cli.local import CommandSession, RunOptions, run_to_end
-from brink.report.experiment_pairs import duel_words
-from brink.search.analysis.confirmation import Confirmation
-from brink.search.analysis.pair_comparison import measure_words, pair_duels
-from brink.server.api.experiment_pairs import ExperimentPairs
-from brink.server.api.schemas import ExperimentProgress
-from brink.server.campaigns.plan import make_checked_plan
-from brink.server.experiments.body import ExperimentBody, parse_experiment
-from brink.server.experiments.pairs import check_pairs
-from brink.server.findings.pairs.views import MOST_PAIRS, ChangeView, PairNature, PairsView, PairView
-from brink.server.problems.catalogue import check_extra
+from brink.report.text import p_text
+from brink.search.analysis.comparison import difference
+from brink.search.analysis.statistics import compared, effect_size, holm
+from brink.search.metric import Metric
+from brink.search.space import SearchSpace
+from brink.server.findings.words import counted
+from brink.sim.episode import digest_of
 
 FINDERS: Final[Mapping[str, str]] = {
-    "edge": "edge@1",
+    "edge@2": "edge@2",
+    "edge@1": "edge@1",
     "nearest opposite": "nearest-opposite@1",
     "DeepJanus": "deepjanus@1",
     "straddle": "straddle@1",
@@ -43,8 +50,20 @@ FINDERS: Final[Mapping[str, str]] = {
     "random search": "random@1",
 }
 """The algorithms by their names in tables; each runs with its default settings."""
-NARROW: Final = 0.05
-"""Share of its range that a number may move between the sides of a narrow pair."""
+THRESHOLDS: Final = "edge@2"
+"""The search that estimates thresholds itself."""
+FOLLOWED: Final = " + estimation"
+"""What follows the name of a search that the estimation of thresholds follows."""
+SHARE: Final = 0.5
+"""Share of the budget that a followed search spends itself."""
+CODE: Final = (
+    "benchmarks/finder_runs.py",
+    "search",
+    "server/campaigns/thresholds.py",
+    "server/problems",
+    "sim",
+)
+"""Code that determines what a run finds; runs stored by other versions of the code are not used."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,214 +74,304 @@ class Case:
         id: Its id.
         params: Its parameters.
         eps: Largest distance between the sides of a pair.
-        d_th: Smallest distance between two distinct pairs.
-        confirm: Most simulations of each side with fresh seeds; 0 where verdicts are computed.
+        d_th: Smallest distance between two distinct pairs, or thresholds of one kind.
     """
 
     id: str
     params: Mapping[str, Any] = field(default_factory=dict)
     eps: float = 0.02
     d_th: float = 0.2
-    confirm: int = 30
 
 
 CASES: Final[Mapping[str, Case]] = {
     "urban-errors": Case(id="urban-errors@1"),
     "front-gap": Case(id="urban-injected@1", params={"requirement": "front-gap@1"}),
     "lane-keeping": Case(id="urban-injected@1", params={"requirement": "lane-keeping@1"}),
-    "mtq": Case(id="mtq@1", eps=0.002, d_th=0.05, confirm=0),
+    "mtq": Case(id="mtq@1", eps=0.002, d_th=0.05),
 }
 """The problems by name."""
 
 
-def experiment(problem: str, *, simulations: int, seeds: int, methods: Sequence[str]) -> ExperimentBody:
-    """Return the experiment that compares searches on a problem.
+@cache
+def runner_of(problem: str) -> Runner:
+    """Return what runs searches on a problem in `CASES`."""
+    return Runner(CASES[problem].id, CASES[problem].params)
 
-    Args:
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """A run of the comparison.
+
+    Attributes:
         problem: Name in `CASES`.
-        simulations: Budget of each search.
-        seeds: Searches with each method.
-        methods: Names in `FINDERS`.
+        method: Name in `FINDERS`.
+        followed: Whether the estimation of thresholds follows.
+        seed: Seed of the search.
+        budget: Simulations, those of the estimation included.
+        folder: Folder for the result.
     """
-    case = CASES[problem]
-    return parse_experiment(
-        {
-            "name": f"finders-{problem}",
-            "problems": [{"name": problem, "id": case.id, "params": dict(case.params)}],
-            "algorithms": [{"name": name, "id": FINDERS[name]} for name in methods],
-            "seeds": {"first": 1, "count": seeds},
-            "budget": {"simulations": simulations},
-            "pairs": {"eps": case.eps, "d_th": case.d_th, "confirm": case.confirm},
-        }
+
+    problem: str
+    method: str
+    followed: bool
+    seed: int
+    budget: int
+    folder: Path
+
+    @property
+    def label(self) -> str:
+        """Name in tables."""
+        return self.method + (FOLLOWED if self.followed else "")
+
+    @property
+    def file(self) -> Path:
+        """File for the result."""
+        case = CASES[self.problem]
+        chosen = [case.id, dict(case.params), FINDERS[self.method], self.followed, self.budget, SHARE]
+        return self.folder / f"{self.problem}-{digest_of(repr(chosen))[:12]}-{self.seed}.json.gz"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """What a run found.
+
+    Attributes:
+        task: The run.
+        run: What was simulated.
+        thresholds: The thresholds.
+        pairs: Distinct pairs: those of the search, or of all solutions where verdicts are computed.
+        narrow: Both ends of each pair of which one number moves, by at most 5% of its range; empty if followed.
+    """
+
+    task: Task
+    run: Run
+    thresholds: list[Estimated]
+    pairs: int
+    narrow: list[list[End]]
+
+
+def run_or_read(task: Task) -> Found:
+    """Return the result of a run, from its file if it has run before."""
+    document = stored(task.file, lambda: _document(task))
+    run = document["run"]
+    return Found(
+        task=task,
+        run=Run(**{**run, "parts": [Part(**part) for part in run["parts"]]}),
+        thresholds=[_estimated(one) for one in document["thresholds"]],
+        pairs=document["pairs"],
+        narrow=[[End(**end) for end in ends] for ends in document["narrow"]],
     )
+
+
+def _estimated(document: dict[str, Any]) -> Estimated:
+    return Estimated(**{**document, "ends": [End(**end) for end in document["ends"]]})
+
+
+def _document(task: Task) -> dict[str, Any]:
+    """Run a search, and return what it found as a document."""
+    runner, case, run = runner_of(task.problem), CASES[task.problem], Run()
+    space = runner.problem.space
+    own = round(SHARE * task.budget) if task.followed else task.budget
+    searched = runner.search(run, FINDERS[task.method], {}, seed=task.seed, budget=own)
+    if task.followed:
+        begun = pairs_to_sharpen(space, searched, eps=case.eps, d_th=case.d_th)
+        runner.sharpen(run, begun, seed=task.seed, budget=task.budget - run.simulations)
+    counted = run.whole() if runner.is_computed else searched
+    found = found_pairs(space, counted, eps=case.eps, d_th=case.d_th)
+    narrow: list[list[End]] = []
+    for safe, unsafe in [] if task.followed else narrow_pairs(space, counted, found):
+        first = 10**6 + 2 * FRESH * len(narrow)
+        sides = ((safe, first, False), (unsafe, first + FRESH, True))
+        narrow.append([runner.end(row, task.seed, at, unsafe=kind)[0] for row, at, kind in sides])
+    return {
+        "run": asdict(run),
+        "thresholds": [asdict(one) for one in estimated_thresholds(runner, run)],
+        "pairs": len(found.pairs),
+        "narrow": [[asdict(end) for end in ends] for ends in narrow],
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tally:
-    """The pairs of a campaign: those that were confirmed or, where verdicts are computed, all of them.
+    """The count of what a run found.
 
     Attributes:
-        method: Name of the algorithm.
-        seed: The campaign's seed.
-        pairs: Distinct pairs, confirmed or not.
-        held: Those that count.
-        numbers: Of these, pairs whose numbers move.
-        narrow: Of these, pairs of which one number moves, by at most 5% of its range.
-        category: Pairs that held of which only a category, or a step, of the component changes.
-        scenario: Those of which only one of the scenario changes.
+        method: Name of the algorithm, with what follows it.
+        seed: The seed.
+        simulations: Simulations, without those of the ends.
+        pairs: Distinct pairs.
+        narrow: Pairs that the test confirmed of which one number moves, by at most 5% of its range; None if the
+            estimation followed.
+        thresholds: Thresholds.
+        hold: Of these, those whose 20 fresh simulations an end show at most 20% and at least 80% unsafe.
+        confirmed: Of these, those that the sequential test confirmed within these simulations.
+        distinct: Confirmed ones of different kinds, or further apart than distinct pairs.
+        kinds: Kinds of confirmed ones.
+        search_cpu_s: CPU time of the search steps.
+        search_s: Their wall-clock time.
+        percent: Their CPU time in percent of that of the simulations; None where verdicts are computed.
     """
 
     method: str
     seed: int
+    simulations: int
     pairs: int
-    held: int
-    numbers: int
-    narrow: int
-    category: int
-    scenario: int
+    narrow: int | None
+    thresholds: int
+    hold: int
+    confirmed: int
+    distinct: int
+    kinds: int
+    search_cpu_s: float
+    search_s: float
+    percent: float | None
 
     @classmethod
-    def of(cls, method: str, seed: int, view: PairsView, *, computed: bool) -> Self:
-        """Return the tally of a campaign.
-
-        Args:
-            method: Name of the algorithm.
-            seed: The campaign's seed.
-            view: Its distinct pairs.
-            computed: Whether verdicts are computed, so that there is nothing to confirm.
-        """
-        held = [one for one in view.pairs if computed or one.confirmation.state is Confirmation.CONFIRMED]
-        natures = [one.nature for one in held]
+    def of(cls, found: Found) -> Self:
+        """Return the tally of a run."""
+        case, run = CASES[found.task.problem], found.run
+        confirmed = [one for one in found.thresholds if one.confirmed]
+        runner = runner_of(found.task.problem)
         return cls(
-            method=method,
-            seed=seed,
-            pairs=view.distinct,
-            held=len(held),
-            numbers=natures.count(PairNature.NUMBERS),
-            narrow=sum(_is_narrow(one) for one in held),
-            category=natures.count(PairNature.CATEGORY),
-            scenario=natures.count(PairNature.SCENARIO),
+            method=found.task.label,
+            seed=found.task.seed,
+            simulations=run.simulations,
+            pairs=found.pairs,
+            narrow=None
+            if found.task.followed
+            else sum(all(end.holds for end in ends) for ends in found.narrow),
+            thresholds=len(found.thresholds),
+            hold=sum(one.holds for one in found.thresholds),
+            confirmed=len(confirmed),
+            distinct=_distinct(confirmed, runner.problem.space, case.d_th),
+            kinds=len({tuple(one.kind) for one in confirmed}),
+            search_cpu_s=run.search_cpu_s,
+            search_s=run.search_s,
+            percent=None if runner.is_computed else 100 * run.search_cpu_s / run.drives_cpu_s,
         )
 
 
-def _is_narrow(pair: PairView) -> bool:
-    """Return whether one unit of numbers alone has a part in a pair, and moves by little."""
-    changes: list[ChangeView] = [one for one in pair.changes if one.active is not False]
-    return len(changes) == 1 and changes[0].moved is not None and changes[0].moved <= NARROW
+def _distinct(thresholds: Sequence[Estimated], space: SearchSpace, d_th: float) -> int:
+    """Return how many thresholds differ in kind or are at least d_th apart; each counts the first that is new."""
+    metric, taken = Metric.of_space(space), dict[tuple[str, ...], list[Any]]()
+    for one in thresholds:
+        row = one.at(space, one.middle)
+        others = taken.setdefault(tuple(one.kind), [])
+        if row is not None and (not others or (metric.between(row[None], np.array(others)) >= d_th).all()):
+            others.append(row)
+    return sum(map(len, taken.values()))
 
 
-COLUMNS: Final[Mapping[str, str]] = {
-    "pairs": "distinct pairs",
-    "held": "that hold",
-    "numbers": "numbers move",
-    "narrow": "one, by at most 5%",
-    "category": "a category changes",
-    "scenario": "the scenario's",
+COLUMNS: Final[Mapping[str, tuple[str, str]]] = {
+    "pairs": ("distinct pairs", ".1f"),
+    "narrow": ("one number by at most 5%, confirmed", ".1f"),
+    "thresholds": ("thresholds", ".1f"),
+    "hold": ("hold at both ends", ".1f"),
+    "confirmed": ("confirmed", ".1f"),
+    "distinct": ("distinct", ".1f"),
+    "kinds": ("kinds", ".1f"),
+    "search_cpu_s": ("search, CPU s", ".2f"),
+    "search_s": ("search, s", ".2f"),
+    "percent": ("% of simulation", ".1f"),
 }
-"""Titles of the columns, by attributes of `Tally`."""
+"""Titles and formats of the columns, by attributes of `Tally`."""
+
+
+class Comparison:
+    """The runs of a comparison.
+
+    Args:
+        problem: Name in `CASES`.
+        methods: Names in `FINDERS`.
+        seeds: Searches with each method, with seeds from 1.
+        budget: Simulations of each run, those of the estimation included.
+        folder: Folder for runs.
+        alone: Whether each rival also runs without the estimation.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        methods: Sequence[str],
+        *,
+        seeds: int,
+        budget: int,
+        folder: Path,
+        alone: bool = True,
+    ) -> None:
+        kept = folder / f"runs-{code_fingerprint(CODE)}"
+        self.problem = problem
+        self.tasks = [
+            Task(problem=problem, method=method, followed=followed, seed=seed, budget=budget, folder=kept)
+            for seed in range(1, seeds + 1)
+            for method in methods
+            for followed in ((False,) if method == THRESHOLDS else (False, True) if alone else (True,))
+        ]
+
+    @property
+    def measure(self) -> str:
+        """Attribute of `Tally` on which methods are compared: distinct pairs where verdicts are computed."""
+        return "pairs" if runner_of(self.problem).is_computed else "distinct"
+
+    def run(
+        self, progress: Progress, *, processes: int = 1, run: Callable[[Task], Found] = run_or_read
+    ) -> list[Found]:
+        """Run what is missing, and return all runs in order."""
+        return mapped(run, self.tasks, processes=processes, part=self.problem, progress=progress)
 
 
 def standings(tallies: Sequence[Tally]) -> list[dict[str, Any]]:
-    """Return the mean of each column over the campaigns of each method, in the order of the experiment."""
-    by_method: dict[str, list[Tally]] = {}
-    for one in tallies:
-        by_method.setdefault(one.method, []).append(one)
+    """Return the mean of each column over the runs of each method, in their order; None where it says nothing."""
     return [
-        {"method": method, "campaigns": len(ours)}
-        | {name: fmean(getattr(one, name) for one in ours) for name in COLUMNS}
-        for method, ours in by_method.items()
+        {"method": method, "runs": len(ours)} | {name: _mean(ours, name) for name in COLUMNS}
+        for method, ours in _by_method(tallies).items()
     ]
+
+
+def _mean(tallies: Sequence[Tally], name: str) -> float | None:
+    values = [value for one in tallies if (value := getattr(one, name)) is not None]
+    return fmean(values) if values else None
+
+
+def _by_method(tallies: Sequence[Tally]) -> dict[str, list[Tally]]:
+    grouped: dict[str, list[Tally]] = {}
+    for one in tallies:
+        grouped.setdefault(one.method, []).append(one)
+    return grouped
 
 
 def table(problem: str, tallies: Sequence[Tally]) -> Table:
     """Return the means as a table."""
-    shown = plain_table(
-        "",
-        *COLUMNS.values(),
-        right=COLUMNS.values(),
-        title=f"{problem}: means over the campaigns of a method",
-    )
+    titles = [title for title, _ in COLUMNS.values()]
+    seeds = len({one.seed for one in tallies})
+    shown = plain_table("", *titles, right=titles, title=f"{problem}: means of {counted(seeds, 'seed')}")
     for row in standings(tallies):
-        shown.add_row(row["method"], *(f"{row[name]:.1f}" for name in COLUMNS))
+        cells = [
+            "–" if (value := row[name]) is None else format(value, form)
+            for name, (_, form) in COLUMNS.items()
+        ]
+        shown.add_row(row["method"], *cells)
     return shown
 
 
-def run_finders(
-    body: ExperimentBody,
-    screen: Console,
-    *,
-    workers: int = 2,
-    database: str | None = None,
-    out: Path,
-    new: bool = False,
-) -> list[Tally] | None:
-    """Run an experiment of `experiment` to its end on this machine, or continue an earlier one of the same kind.
-
-    Args:
-        body: The experiment.
-        screen: Console for progress and for the comparison of the first method with the others.
-        workers: Number of worker processes.
-        database: Database URL; None takes the default one.
-        out: Folder for the experiment file and the workers' log.
-        new: Whether to start anew even if there is an earlier one.
-
-    Returns:
-        The tallies of all campaigns; None if the experiment was stopped or did not finish.
-
-    Raises:
-        InvalidInput: A campaign of the experiment cannot run.
-    """
-    for cell in body.cells()[: len(body.algorithms)]:
-        check_extra(make_checked_plan(cell.body).problem)
-    check_pairs(body)
-    out.mkdir(parents=True, exist_ok=True)
-    file = out / f"{body.name}.json"
-    file.write_text(body.model_dump_json(indent=1) + "\n", encoding="utf-8")
-    options = RunOptions(
-        file=file,
-        workers=workers,
-        out=out,
-        resume=not new,
-        new=new,
-        json=False,
-        database=database,
-        port=0,
-        group="experiment ",
-    )
-
-    async def finish(session: CommandSession, progress: ExperimentProgress) -> list[Tally] | None:
-        pairs = await fetch_experiment_pairs(session.api, progress.id, screen)
-        confirm = 0 if body.pairs is None else body.pairs.confirm
-        if confirm:
-            complete = await run_follow_ups(session, pairs, confirm=confirm, component=False)
-            if not complete:
-                screen.print("not all pairs were tried; the same command continues")
-                return None
-            pairs = await fetch_experiment_pairs(session.api, progress.id, screen)
-        _print_comparison(screen, pairs, body)
-        with Steps(screen, "reading the pairs"):
-            settings = {"eps": pairs.eps, "d_th": pairs.d_th}
-            return [
-                Tally.of(
-                    one.method,
-                    one.seed,
-                    await _pairs_of(session.api, one.campaign, settings),
-                    computed=one.computed,
-                )
-                for one in pairs.repeats
-            ]
-
-    return run_to_end(ExperimentRun(body), options, screen, ExperimentDisplay(screen), finish)
-
-
-def _print_comparison(screen: Console, pairs: ExperimentPairs, body: ExperimentBody) -> None:
-    """Print how the first method compares with each other one."""
-    repeats = pair_repeats_of(pairs)
-    screen.print(measure_words(repeats, body.problems[0].label), soft_wrap=True)
-    for duel in pair_duels(repeats, level=pairs.alpha):
-        if duel.first == body.algorithms[0].label:
-            screen.print(f"- {duel_words(duel).replace('**', '')}", soft_wrap=True)
-
-
-async def _pairs_of(api: Api, campaign: str, settings: Mapping[str, float]) -> PairsView:
-    return await api.read(PairsView, f"/campaigns/{campaign}/pairs", {**settings, "limit": MOST_PAIRS})
+def duels(tallies: Sequence[Tally], measure: str) -> list[str]:
+    """Return how `edge@2` compares with each rival, in sentences; p-values are corrected over all of them."""
+    values = {
+        name: [float(getattr(one, measure)) for one in ours] for name, ours in _by_method(tallies).items()
+    }
+    mine = values.pop(THRESHOLDS, None)
+    if mine is None:
+        return []
+    results = {name: compared(mine, theirs) for name, theirs in values.items()}
+    adjusted = holm([one.p_value for one in results.values()])
+    return [
+        f"{THRESHOLDS} and {name}: {fmean(mine):.1f} against {fmean(values[name]):.1f} "
+        f"{'distinct pairs' if measure == 'pairs' else 'distinct confirmed thresholds'}"
+        + (
+            ""
+            if p_value is None
+            else f", A12 {result.a12:.2f} ({effect_size(result.a12)}), corrected p {p_text(p_value)}"
+        )
+        + f"; {difference(result, p_value, THRESHOLDS, name)}"
+        for (name, result), p_value in zip(results.items(), adjusted, strict=True)
+    ]

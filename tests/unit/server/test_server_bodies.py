@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from brink.server.campaigns.body import parse_body
+from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
 from brink.server.experiments.body import MAX_CAMPAIGNS, parse_experiment, read_experiment_file
 from brink.server.experiments.pairs import check_pairs
@@ -161,3 +162,11 @@ def test_the_examples_can_be_read() -> None:
     assert (edge.campaigns, edge.budget.simulations, edge.problems) == (40, 1300, body.problems)
     assert edge.algorithms[1:] == body.algorithms
     check_pairs(edge)
+
+
+def test_the_example_of_all_searches_can_run() -> None:
+    body = read_experiment_file(EXAMPLES / "thresholds-experiment.yaml")
+    assert (body.campaigns, body.budget.simulations) == (4 * 9 * 10, 1300)
+    check_pairs(body)
+    for cell in body.cells()[: 4 * 9]:
+        assert make_checked_plan(cell.body).body.budget.simulations == 1300
