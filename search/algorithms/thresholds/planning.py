@@ -32,6 +32,7 @@ from brink.search.exploration import RobustnessSurrogate, proposed_rows
 from brink.search.metric import Metric
 from brink.search.space import FloatArray
 from brink.search.streams import Stream, generator
+from brink.search.surrogate import learning_size
 from brink.search.thresholds.estimation import next_places
 from brink.search.thresholds.line import valid_change
 
@@ -101,7 +102,7 @@ def with_surrogate(state: ThresholdState) -> ThresholdState:
     Solutions that are unsafe without any error count as safe: there is nothing to look for near them.
     """
     archive, known = state.ledger.archive, state.ledger.known
-    size = _learning_size(len(known) + len(archive))
+    size = learning_size(len(known) + len(archive), one_in=10)
     if size < FEWEST_EXPLORED or (state.surrogate is not None and state.surrogate.size == size):
         return state
     rows = np.concatenate([known.rows, archive.vectors])[:size]
@@ -116,13 +117,6 @@ def with_surrogate(state: ThresholdState) -> ThresholdState:
     seed = int(rng.integers(2**32, dtype=np.uint64))
     fitted = RobustnessSurrogate(state.ledger.space, rows, robustness, wanted, seed=seed)
     return replace(state, surrogate=fitted)
-
-
-def _learning_size(solutions: int) -> int:
-    size = 1
-    while (larger := size + max(1, size // 10)) <= solutions:
-        size = larger
-    return size
 
 
 class _Planner:
