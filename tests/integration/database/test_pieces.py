@@ -48,6 +48,10 @@ BODIES = {
             "params": {"generation_size": 9, "in_flight": 3, "d_th": 0.05, "explore": 0.2},
         },
     ),
+    "thresholds": ball(
+        simulations=80,
+        algorithm={"id": "edge@2", "params": {"generation_size": 9, "in_flight": 3, "trials": 18}},
+    ),
 }
 """With several generations in flight, one, and several that depend on each other."""
 

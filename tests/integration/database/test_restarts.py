@@ -55,10 +55,30 @@ CAMPAIGNS = {
             "params": {"generation_size": 7, "in_flight": 4, "d_th": 0.05, "explore": 0.2},
         },
     ),
+    "thresholds": ball(
+        simulations=80,
+        algorithm={
+            "id": "edge@2",
+            "params": {"generation_size": 7, "in_flight": 4, "explore": 0.3, "trials": 18},
+        },
+    ),
 }
 """Campaigns whose algorithms can start from known results."""
 COLD = {
     **CAMPAIGNS,
+    "sharpen": ball(
+        simulations=120,
+        algorithm={
+            "id": "sharpen@1",
+            "params": {
+                "safe": [[1.6, 0.3], [0.2, -1.5], [1.2, 1.2]],
+                "unsafe": [[0.4, 0.3], [0.2, 0.1], [-0.3, 0.5]],
+                "trials": 18,
+                "generation_size": 7,
+                "in_flight": 4,
+            },
+        },
+    ),
     "deepjanus": ball(
         simulations=80, algorithm={"id": "deepjanus@1", "params": {"population_size": 5, "d_th": 0.05}}
     ),
@@ -75,9 +95,11 @@ COLD = {
         },
     ),
 }
+IN_FLIGHT = ("random", "edge", "thresholds", "sharpen", "nearest-opposite", "straddle", "bsv")
+"""Campaigns of `COLD` with several generations in flight."""
 
 
-@pytest.mark.parametrize("name", mostly_long(COLD, ["mlcshe", "edge"], "runs a campaign twice"))
+@pytest.mark.parametrize("name", mostly_long(COLD, ["mlcshe", "thresholds"], "runs a campaign twice"))
 def test_a_coordinator_that_is_started_again_finds_the_same(database_url: str, name: str) -> None:
     campaign, held = "", list[LeasedJob]()
     for wanted in (10, 27, 55, 1000):
@@ -168,12 +190,12 @@ def test_generations_in_flight_are_told_in_the_order_of_asking(overlapping: Coor
 
 
 @sqlite_then_postgres
-@pytest.mark.parametrize("name", ["random", "edge"])
+@pytest.mark.parametrize("name", mostly_long(IN_FLIGHT, ["random", "thresholds"], "other algorithms"))
 @pytest.mark.parametrize("seed", mostly_long(range(2), [0], "the same in another order"))
 def test_coordinators_that_take_turns_with_generations_in_flight_find_the_same(
     engines: Engines, name: str, seed: int
 ) -> None:
-    overlapping = Coordinators(engines, CAMPAIGNS[name])
+    overlapping = Coordinators(engines, COLD[name])
     rng, turn = random.Random(seed), 0
     while overlapping.campaign.status is CampaignStatus.RUNNING:
         jobs = [*overlapping.lease(), *overlapping.lease()]
@@ -183,7 +205,7 @@ def test_coordinators_that_take_turns_with_generations_in_flight_find_the_same(
             turn += 1
             overlapping.steppers[turn % 2].advance("c0ffee")
     overlapping.close()
-    assert overlapping.digest() == undisturbed_digest(CAMPAIGNS[name])
+    assert overlapping.digest() == undisturbed_digest(COLD[name])
 
 
 class Clock:
