@@ -9,10 +9,11 @@ def test_measurement_has_a_row_for_each_size_with_its_target() -> None:
 
 
 def test_whole_searches_are_measured_without_their_simulations() -> None:
-    rows = list(measure_searches(("random@1", "nearest-opposite@1"), budget=80))
+    rows = list(measure_searches(("random@1", "nearest-opposite@1"), budget=80, drives=2))
     assert [row.what for row in rows] == [
         "% of the CPU time of 80 simulations: random@1",
         "% of the CPU time of 80 simulations: nearest-opposite@1",
     ]
     assert all(row.value > 0 for row in rows)
-    assert rows[0].note.endswith("in 2 generations")
+    assert " s in 2 generations; " in rows[0].note
+    assert rows[0].note.endswith(" ms a drive")
