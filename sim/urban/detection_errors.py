@@ -250,6 +250,8 @@ class DetectionError:
         """The error in words, such as ``the lead is not reported for 1.3 s from 4.2 s on``."""
         scale = MAGNITUDES[self.type]
         words = self.words_with(scale.words(self.magnitude))
+        if scale.has_duration:
+            words += f" for {self.duration_s:.1f} s"
         return f"{words} {self.onset_words}" if scale.has_window else words
 
     def words_with(self, magnitude: str) -> str:

@@ -365,8 +365,8 @@ LONGER = {**MISS, "severity": 1.5 / 8.0}
         (
             MISS,
             FAR,
-            "the lead is reported 20% too far away from 4.2 s on (in the safe drive, the lead is not reported for "
-            "1.3 s from 4.2 s on)",
+            "the lead is reported 20% too far away for 2.0 s from 4.2 s on (in the safe drive, the lead is not "
+            "reported for 1.3 s from 4.2 s on)",
         ),
         (
             MISS,
