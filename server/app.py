@@ -27,6 +27,7 @@ from brink.server.api import (
     repeats,
     service,
     solutions,
+    thresholds,
     tolerance,
     violations,
 )
@@ -196,6 +197,7 @@ def _routes() -> list[BaseRoute]:
         analysis.monitors_router,
         repeats.router,
         pairs.router,
+        thresholds.router,
         pair_pictures.router,
         pair_pictures.compared_router,
         tolerance.router,

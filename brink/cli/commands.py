@@ -30,6 +30,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "status": ("brink.cli.campaigns:status", "Show campaigns, or the progress of one"),
         "findings": ("brink.cli.findings:findings", "Show the findings of a campaign, or one kind"),
         "results": ("brink.cli.campaigns:results", "Show or export distinct boundary solutions"),
+        "thresholds": ("brink.cli.thresholds:thresholds", "Show where exactly drives turn unsafe"),
         "pairs": ("brink.cli.pairs:pairs", "Show or export safe and unsafe drives side by side"),
         "tolerance": ("brink.cli.tolerance:tolerance", "Show how severe a component's errors may be"),
         "violations": ("brink.cli.violations:violations", "Show the types of violations found"),

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +13,8 @@ from brink.api.client import Api
 from brink.api.follow_ups import OPEN, follow_up_options, follow_up_requests
 from brink.api.terminal import echo
 from brink.cli.findings import show_kind
-from brink.cli.local import CommandSession, check_extra_of, run_locally, stopping
+from brink.cli.follow_ups import run_follow_ups
+from brink.cli.local import run_locally
 from brink.cli.options import (
     RESULTS,
     AsJson,
@@ -36,7 +38,7 @@ from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, ques
 from brink.server.errors import InvalidInput
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.pairs.views import MOST_PAIRS, Minimality, PairsView
-from brink.server.states import CampaignStatus, FollowUpKind
+from brink.server.states import FollowUpKind
 
 PAIRS_SHOWN = 20
 
@@ -244,7 +246,13 @@ def _follow_up(
         return run_locally(
             settings_with(database=database, port=0),
             screen,
-            lambda session: _run(session, campaign, requests, workers),
+            lambda session: run_follow_ups(
+                session,
+                campaign,
+                [partial(_ask, session.api, campaign, request, session.screen) for request in requests],
+                workers,
+                f"pairs {campaign} {follow_up_options(requests)}",
+            ),
         )
 
     async def ask(api: Api) -> None:
@@ -290,35 +298,6 @@ def _can_be_minimised(view: PairsView, screen: Console) -> bool:
         pairs = "the pair can go: it is" if one_seed == 1 else f"{one_seed} pairs can go: they are"
         screen.print(f"none of the differences of {pairs} minimal")
     return states.count(Minimality.MINIMAL) < one_seed
-
-
-async def _run(
-    session: CommandSession, campaign: str, requests: Sequence[dict[str, Any]], workers: int
-) -> bool:
-    """Run follow-ups to their end, one after the other; return False if they were stopped or did not finish."""
-    await check_extra_of(session.api, campaign)
-    complete = True
-    started = False
-    async with stopping(session.stop):
-        for request in requests:
-            view = await _ask(session.api, campaign, request, session.screen)
-            if view is None or view.status not in OPEN:
-                continue
-            if not started:
-                session.processes.start(workers)
-                started = True
-            session.screen.print(f"simulating {question_of(view.kind).simulates}", soft_wrap=True)
-            progress = await session.finish_follow_up(view)
-            complete = complete and progress.status is CampaignStatus.FINISHED
-            if session.stop.is_set():
-                session.hint(
-                    "stopped; nothing is lost. Continue with",
-                    f"pairs {campaign} {follow_up_options(requests)}",
-                )
-                return False
-            if progress.status_reason:
-                session.screen.print(progress.status_reason, soft_wrap=True, style="yellow")
-    return complete
 
 
 def _format(form: Format | None, out: Path | None, *, as_json: bool) -> Format:

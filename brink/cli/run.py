@@ -15,6 +15,7 @@ from brink.api.live import CampaignDisplay, Steps, failures_of
 from brink.api.results import fetch_archive
 from brink.api.runs import CampaignRun
 from brink.cli.findings import print_findings, print_steps
+from brink.cli.follow_ups import ask_by_default
 from brink.cli.kind_files import KindFiles, read_files
 from brink.cli.local import CommandSession, RunOptions, run_to_end
 from brink.cli.options import (
@@ -114,6 +115,7 @@ async def _finish(
 ) -> bool:
     """Write and print the results of a finished campaign; return whether they are complete."""
     folder = results_folder(options.out, body.name, progress.id)
+    await ask_by_default(session, progress.id)
     report = await _write_all(session, progress, folder, pictures=pictures, replays=replays)
     repeated = await repeat_finished(session, progress.id, body.repeats)
     if repeated is not None:

@@ -38,6 +38,10 @@ _MARGIN: Final = 3.0
 _DOT_PT2: Final = 16.0
 _LABEL_SHARE: Final = 0.05
 """Room that a count takes, as a share of a panel's width."""
+_COMPUTED: Final = (
+    "Whether it is unsafe along one number while all else is held. "
+    "Verdicts have no chance, so nothing is estimated."
+)
 _STATES: Final = {Outcome.CHANCY: "chancy: no threshold", Outcome.OPEN: "open: more simulations would tell"}
 
 
@@ -54,7 +58,10 @@ def figure_thresholds(view: ThresholdsView) -> Figure:
     figure = new_figure(
         height_px,
         f"Where exactly it turns: {view.name}",
-        "How likely a violation is along one number while all else is held. Each drive had its own random numbers.",
+        _COMPUTED
+        if view.computed
+        else "How likely a violation is along one number while all else is held. "
+        "Each drive had its own random numbers.",
     )
     grid = figure.add_gridspec(
         rows,
@@ -68,7 +75,7 @@ def figure_thresholds(view: ThresholdsView) -> Figure:
     )
     for place, one in enumerate(shown):
         axes = figure.add_subplot(grid[place // columns, place % columns])
-        _panel(axes, one)
+        _panel(axes, one, computed=view.computed)
         if place % columns:
             axes.tick_params(labelleft=False)
     if not shown:
@@ -78,35 +85,34 @@ def figure_thresholds(view: ThresholdsView) -> Figure:
 
 
 def _legend(view: ThresholdsView) -> list[Line2D]:
+    dot = Line2D([], [], color=SAFE, marker="o", linewidth=0, markersize=8)
+    if view.computed:
+        turns = Line2D([], [], color=HAIRLINE, linewidth=9, label="turns between these")
+        dot.set_label("safe at 0%, unsafe at 100%")
+        return [turns, dot]
+    dot.set_label("unsafe share of the drives there")
     return [
         Line2D([], [], color=UNSAFE, linewidth=2, label="probability, with its 90% interval"),
         Line2D([], [], color=INK, marker="o", linewidth=1.6, markersize=6, label="50% point, 90% interval"),
         Line2D([], [], color=HAIRLINE, linewidth=9, label="from 20 to 80%"),
-        Line2D(
-            [],
-            [],
-            color=SAFE,
-            marker="o",
-            linewidth=0,
-            markersize=8,
-            label="unsafe share of the drives there",
-        ),
+        dot,
     ]
 
 
-def _panel(axes: Axes, one: ThresholdView) -> None:
+def _panel(axes: Axes, one: ThresholdView, *, computed: bool) -> None:
     style_axes(axes)
     low, high = _window(one)
     if one.outcome is Outcome.THRESHOLD and one.at_20 is not None and one.at_80 is not None:
         axes.axvspan(*sorted((one.at_20, one.at_80)), color=HAIRLINE, alpha=0.75, linewidth=0, zorder=0)
     curve = one.curve
-    axes.fill_between(curve.value, curve.low, curve.high, color=UNSAFE, alpha=0.14, linewidth=0)
-    axes.plot(curve.value, curve.share, color=UNSAFE, linewidth=2)
-    for level in (LOW, HIGH):
-        axes.axhline(level, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
+    if not computed:
+        axes.fill_between(curve.value, curve.low, curve.high, color=UNSAFE, alpha=0.14, linewidth=0)
+        axes.plot(curve.value, curve.share, color=UNSAFE, linewidth=2)
+        for level in (LOW, HIGH):
+            axes.axhline(level, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
     shown = [dot for dot in one.dots if low <= dot.value <= high]
     _dots(axes, shown, high - low)
-    if one.middle is not None:
+    if one.middle is not None and not computed:
         ends = [low if one.low is None else one.low, high if one.high is None else one.high]
         axes.plot(ends, [0.5, 0.5], color=INK, linewidth=1.8, solid_capstyle="butt", zorder=5)
         axes.plot([one.middle], [0.5], "o", color=INK, markersize=6, zorder=6)
@@ -117,10 +123,12 @@ def _panel(axes: Axes, one: ThresholdView) -> None:
     axes.tick_params(labelsize=TICK_PT - 1)
     unit = f" ({one.unit})" if one.unit else ""
     axes.set_xlabel(f"{one.parameter}{unit}", fontsize=SMALL_PT, color=MUTED)
-    _titles(axes, one, sum(dot.drives for dot in one.dots) - sum(dot.drives for dot in shown))
+    found = f"turns {one.turns}" if computed else f"50% at {one.turns}, 20 to 80% within {one.within}"
+    told = _STATES.get(one.outcome, found)
+    _titles(axes, one, told, sum(dot.drives for dot in one.dots) - sum(dot.drives for dot in shown))
 
 
-def _titles(axes: Axes, one: ThresholdView, further: int) -> None:
+def _titles(axes: Axes, one: ThresholdView, told: str, further: int) -> None:
     """Write what changes, what came out, and how many drives are outside the panel."""
     lines = textwrap.wrap(f"{one.place}. {one.words}", _TITLE_CHARACTERS)
     if len(lines) > _TITLE_LINES:
@@ -129,10 +137,9 @@ def _titles(axes: Axes, one: ThresholdView, further: int) -> None:
         0.0, 1.17, "\n".join(lines), fontsize=TICK_PT, color=INK, fontweight="bold", va="bottom"
     )
     title.set_transform(axes.transAxes)
-    told = _STATES.get(one.outcome, f"50% at {one.turns}, 20 to 80% within {one.within}")
-    axes.text(0.0, 1.05, told, transform=axes.transAxes, fontsize=SMALL_PT, color=MUTED, va="bottom")
     if one.window:
         told += f"; {one.window}"
+    axes.text(0.0, 1.05, told, transform=axes.transAxes, fontsize=SMALL_PT, color=MUTED, va="bottom")
     count = f"{one.drives:,} drives" + (f", {further:,} of them further out" if further else "")
     axes.text(
         0.99, -0.21, count, transform=axes.transAxes, fontsize=SMALL_PT, color=MUTED, ha="right", va="top"

@@ -55,6 +55,9 @@ class Step(View):
         FollowUpView | None,
         Field(description="The campaign that is simulating it, if it has been requested."),
     ] = None
+    by_default: Annotated[
+        bool, Field(description="Whether `brink run` takes it by itself at the end of a run.")
+    ] = False
     tells_more: Annotated[
         bool, Field(description="Whether it clarifies this finding, rather than starts something new.")
     ] = False

@@ -264,7 +264,10 @@ class UrbanInjected(SlottedBehaviour):
         """Return the scale of a step, which is a time; None for other numbers."""
         if not name.endswith("_step"):
             return None
-        return SeverityScale(unit="s", none=0.0, most=PERCEPTION_STEP_S, meaning="time")
+        trajectory, _, end = name.removeprefix(f"{BEHAVIOUR}.").partition(".")
+        when = "begins" if end == "t0_step" else "ends"
+        meaning = f"when report {trajectory.removeprefix('trajectory_')} {when}"
+        return SeverityScale(unit="s", none=0.0, most=PERCEPTION_STEP_S, meaning=meaning)
 
     def _ended_at_step(self, one: SimulatedSolution) -> float:
         """Return the perception step at which a drive ended; infinity unless that cut off what was reported."""

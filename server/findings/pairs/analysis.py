@@ -350,14 +350,9 @@ class _Evidence:
             stored: Its follow-ups, oldest first.
             repeated: What those with other seeds have shown.
         """
-        truths: dict[int, ComponentView] = {}
         reductions: dict[tuple[int, int], tuple[_Reduction, int]] = {}
         for one in stored:
-            if one.kind is FollowUpKind.COMPONENT:
-                for number, view in _truths(connection, one).items():
-                    if number not in truths or truths[number].state not in _KNOWN_PARTS:
-                        truths[number] = view
-            elif one.kind is FollowUpKind.MINIMISE:
+            if one.kind is FollowUpKind.MINIMISE:
                 reduction = _Reduction.read(connection, one)
                 for place, pair in enumerate(pairs_of(one)):
                     if pair not in reductions or not reductions[pair][0].is_finished:
@@ -368,7 +363,7 @@ class _Evidence:
             if pairs.reducible is None
             else pairs.reducible.pairs,
             repeated=repeated,
-            truths=truths,
+            truths=read_truths(connection, stored),
             reductions=reductions,
         )
 
@@ -429,6 +424,22 @@ class _Evidence:
 
 
 _KNOWN_PARTS: Final = (ComponentPart.COMPONENT, ComponentPart.SCENARIO)
+
+
+def read_truths(connection: Connection, stored: Sequence[StoredFollowUp]) -> dict[int, ComponentView]:
+    """Return what drives with ground truth showed, by number of the solution.
+
+    Args:
+        connection: Read connection.
+        stored: The follow-ups of a campaign, oldest first; those of other kinds are ignored.
+    """
+    truths: dict[int, ComponentView] = {}
+    for one in stored:
+        if one.kind is FollowUpKind.COMPONENT:
+            for number, view in _truths(connection, one).items():
+                if number not in truths or truths[number].state not in _KNOWN_PARTS:
+                    truths[number] = view
+    return truths
 
 
 def _truths(connection: Connection, stored: StoredFollowUp) -> dict[int, ComponentView]:

@@ -5,27 +5,27 @@ from typing import Final
 
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.thresholds import Outcome
+from brink.server.campaigns.follow_ups.follow_up import StoredFollowUp
+from brink.server.campaigns.follow_ups.kinds.confirm import DEFAULT_CONFIRMATIONS
+from brink.server.campaigns.follow_ups.question import question_of, refusal
+from brink.server.campaigns.plan import with_truth
 from brink.server.campaigns.store import ENDED
 from brink.server.campaigns.thresholds import CampaignThresholds, find_stored_thresholds
 from brink.server.findings.finding import Finding, Role, Step, StepRequest, Term
+from brink.server.findings.follow_ups import follow_up_view
 from brink.server.findings.kind import MOST_RINGS, Kind, Listed, Subject
 from brink.server.findings.pairs.views import ComponentPart
 from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.thresholds.analysis import thresholds_view
 from brink.server.findings.thresholds.views import ThresholdsView, ThresholdView
+from brink.server.findings.thresholds.words import BLAMED
 from brink.server.findings.words import counted
+from brink.server.states import FollowUpKind, Selection
 
 MOST_SOLUTIONS: Final = 20_000
 """Largest archive whose lines are estimated for a list; a campaign's page has those of others."""
-_ENDS_AGAIN: Final = 30
-COLUMNS: Final = [
-    Column(name="threshold", title="threshold", format=Format.COUNT),
-    Column(name="change", title="change from 20% to 80% unsafe"),
-    Column(name="held", title="held", below=True),
-    Column(name="turns", title="50% point, 90% interval"),
-    Column(name="parameter", title="parameter", below=True),
-    Column(name="within", title="20 to 80% within"),
-    Column(name="window", title="window", below=True),
+_BEFORE: Final = [Column(name="threshold", title="threshold", format=Format.COUNT)]
+_AFTER: Final = [
     Column(name="fails", title="how it fails"),
     Column(name="rule", title="rule", below=True),
     Column(name="outcome", title="state", format=Format.STATE),
@@ -55,10 +55,25 @@ COLUMNS: Final = [
     Column(name="requirements", title="requirements", detail=True),
     Column(name="kind", title="kind", detail=True),
 ]
-_BLAME: Final = {
-    ComponentPart.COMPONENT: "component's hazard (one seed)",
-    ComponentPart.SCENARIO: "scenario's hazard (one seed)",
-}
+
+
+def _columns(view: ThresholdsView) -> list[Column]:
+    """Return the columns; without chance, nothing is estimated, and no column says so."""
+    change, turns, within = (
+        ("change from safe to unsafe", "turns", "safe and unsafe apart")
+        if view.computed
+        else ("change from 20% to 80% unsafe", "50% point, 90% interval", "20 to 80% within")
+    )
+    return [
+        *_BEFORE,
+        Column(name="change", title=change),
+        Column(name="held", title="held", below=True),
+        Column(name="turns", title=turns),
+        Column(name="parameter", title="parameter", below=True),
+        Column(name="within", title=within),
+        Column(name="window", title="window", below=True),
+        *_AFTER,
+    ]
 
 
 class ThresholdsKind(Kind):
@@ -85,9 +100,10 @@ class ThresholdsKind(Kind):
             title=self.title,
             role=subject.role,
             sentence=view.sentence,
+            more=[words for words in (_sharpest(sharp), _blame(view), view.note) if words],
             purpose=f"Brink searched for thresholds: a {subject.noun} and one number along which it turns from safe "
             "to unsafe while all else is held.",
-            example="".join(f"For example, {one.words[:1].lower()}{one.words[1:]}" for one in sharp[:1]),
+            example="".join(f"For example: {one.words}" for one in sharp[:1]),
             figures=_figures(view, found),
             caveats=_caveats(view),
             trust=_trust(view, subject.noun),
@@ -122,17 +138,17 @@ def thresholds_table(view: ThresholdsView, rows: int | None = None) -> Table:
     return Table(
         name="thresholds",
         title="Thresholds, the narrowest stretch first",
-        columns=COLUMNS,
-        rows=[_row(one) for one in shown],
+        columns=_columns(view),
+        rows=[_row(one, view) for one in shown],
         left_out=view.left_out + len(view.thresholds) - len(shown),
     )
 
 
-def _row(one: ThresholdView) -> list[str | int | float | bool | None]:
+def _row(one: ThresholdView, view: ThresholdsView) -> list[str | int | float | bool | None]:
     pair = one.pair
     return [
         one.place,
-        one.words.partition(": ")[0],
+        one.change if one.outcome is Outcome.THRESHOLD else one.words,
         f"held: {one.held}" if one.held else "",
         one.turns,
         one.parameter,
@@ -141,7 +157,7 @@ def _row(one: ThresholdView) -> list[str | int | float | bool | None]:
         one.fails,
         one.rule,
         one.outcome.value,
-        _BLAME.get(one.blame, ""),
+        BLAMED[one.blame] if view.has_component and one.outcome is Outcome.THRESHOLD else "",
         one.drives,
         None if pair is None else pair.safe.number,
         None if pair is None else pair.unsafe.number,
@@ -183,8 +199,43 @@ def _figures(view: ThresholdsView, found: CampaignThresholds) -> list[Term]:
         Term(term=f"{view.kinds:,}", words="kind of threshold" if view.kinds == 1 else "kinds of thresholds"),
     ]
     if chancy := len(found.of(Outcome.CHANCY)):
-        told.append(Term(term=f"{chancy:,}", words="chancy lines, without a threshold"))
+        words = "chancy line, without a threshold" if chancy == 1 else "chancy lines, without a threshold"
+        told.append(Term(term=f"{chancy:,}", words=words))
+    if asked := _asked(view):
+        words = "thresholds: the component is to blame, judged with one seed each"
+        told.append(Term(term=f"{_blamed(asked):,} of {len(asked):,}", words=words))
     return told
+
+
+def _sharpest(sharp: Sequence[ThresholdView]) -> str:
+    """Return the first threshold in a sentence; empty without any."""
+    return "".join(f"The sharpest: {one.words}" for one in sharp[:1])
+
+
+def _asked(view: ThresholdsView) -> list[ThresholdView]:
+    """Return the thresholds whose unsafe end was simulated with ground truth."""
+    known = (ComponentPart.COMPONENT, ComponentPart.SCENARIO)
+    return [one for one in view.thresholds if one.outcome is Outcome.THRESHOLD and one.blame in known]
+
+
+def _blamed(asked: Sequence[ThresholdView]) -> int:
+    return sum(one.blame is ComponentPart.COMPONENT for one in asked)
+
+
+def _blame(view: ThresholdsView) -> str:
+    """Return for how many thresholds the component is to blame; empty if nothing can tell."""
+    thresholds = [one for one in view.thresholds if one.outcome is Outcome.THRESHOLD]
+    if not view.has_component or not thresholds:
+        return ""
+    asked = _asked(view)
+    if not asked:
+        return "Whether the component or the scenario is to blame was not tried"
+    rest = len(thresholds) - len(asked)
+    words = (
+        f"With ground truth in place of the component, in one drive each, the unsafe end of {_blamed(asked):,} of "
+        f"{counted(len(asked), 'threshold')} is safe: there, the component is to blame"
+    )
+    return f"{words}. For {rest:,}, that was not tried" if rest else words
 
 
 def _caveats(view: ThresholdsView) -> list[str]:
@@ -209,6 +260,11 @@ def _trust(view: ThresholdsView, noun: str) -> list[Term]:
     drives = sum(one.drives for one in view.thresholds)
     if not drives:
         return []
+    if view.computed:
+        words = (
+            f"{counted(drives, noun)} without chance: each threshold lies between a safe and an unsafe one."
+        )
+        return [Term(term="No chance", words=words)]
     return [
         Term(
             term="Fresh seeds",
@@ -219,21 +275,35 @@ def _trust(view: ThresholdsView, noun: str) -> list[Term]:
 
 
 def _legend(view: ThresholdsView, noun: str) -> list[str]:
-    told = [
-        f"A threshold: with all else held, the probability that the {noun} is unsafe passes from at most 20% to at "
-        "least 80% along one number, or two that move together",
-        f"50% point: where half of the {noun}s are unsafe, with the interval that contains it with a probability of "
-        f"{view.confidence:.0%}; the stretch from 20 to 80% is also given as a share of the range",
-        "chancy: the probability does not pass from 20 to 80% within a fifth of the range; open: more simulations "
-        "would tell",
-    ]
+    if view.computed:
+        told = [
+            f"A threshold: with all else held, a {noun} turns from safe to unsafe between two values of one number "
+            "that are at most two resolutions apart. Verdicts have no chance, so nothing is estimated"
+        ]
+    else:
+        told = [
+            f"A threshold: with all else held, the probability that the {noun} is unsafe passes from at most 20% to "
+            "at least 80% along one number, or two that move together",
+            f"50% point: where half of the {noun}s are unsafe, with the interval that contains it with a probability "
+            f"of {view.confidence:.0%}; the stretch from 20 to 80% is also given as a share of the range",
+            "rule: from the 80% point to the furthest value that was simulated",
+            "chancy: the probability does not pass from 20 to 80% within a fifth of the range; open: more "
+            "simulations would tell",
+        ]
     if any(one.pair is not None for one in view.thresholds):
         told.append(
             "both ends: the nearest simulated drives below 20 and above 80%; a tight pair if they are at most the "
             "stretch and two resolutions apart"
         )
+    if view.has_component and any(one.outcome is Outcome.THRESHOLD for one in view.thresholds):
+        told.append(
+            "hazard: the component's if the unsafe end is safe with ground truth in place of the component, "
+            "otherwise the scenario's; judged in one drive, with the seed of the search"
+        )
     if any(one.window for one in view.thresholds):
         told.append("window: further on, the drives are safe again, so larger is not simply worse")
+    if any("…" in one.held for one in view.thresholds):
+        told.append("held: … stands for what changes")
     told.append(
         "Kinds are told apart by the number and its error, the target, the shape of the road, and how it fails"
     )
@@ -252,31 +322,77 @@ def _steps(subject: Subject, view: ThresholdsView) -> list[Step]:
             kind="look",
             question="How sharp is it?",
             words=f"Draws how likely a violation is along each unit, with every {subject.noun} that says so.",
-            command=f"brink findings {campaign.id} thresholds --picture thresholds.png",
+            command=f"brink thresholds {campaign.id} --picture thresholds.png",
         )
     ]
-    ends = [
-        number
-        for one in sharp
-        if one.pair is not None and one.pair.confirmation is Confirmation.NOT_TRIED
-        for number in (one.pair.safe.number, one.pair.unsafe.number)
-    ]
-    if ends and campaign.status in ENDED and not subject.plan.problem.ignores_seeds:
-        numbers = list(dict.fromkeys(ends))
-        steps.append(
-            Step(
-                kind="ends",
-                question="Do both ends hold?",
-                label="Simulate both ends again",
-                words=f"Simulates both ends of each threshold with other seeds: {len(numbers) * _ENDS_AGAIN:,} "
-                "simulations.",
-                request=StepRequest(
-                    path=f"{subject.path}/repeats", body={"numbers": numbers, "repeats": _ENDS_AGAIN}
-                ),
-                tells_more=True,
-            )
-        )
+    if campaign.status in ENDED:
+        steps += [step for step in (_confirm(subject, sharp), _component(subject, sharp)) if step is not None]
     return steps
+
+
+def _confirm(subject: Subject, sharp: Sequence[ThresholdView]) -> Step | None:
+    """Return the step that simulates both ends with other seeds; None if there is nothing left to do."""
+    pairs = [one.pair for one in sharp if one.pair is not None]
+    untried = [pair for pair in pairs if pair.confirmation is Confirmation.NOT_TRIED]
+    running = _running(subject, FollowUpKind.CONFIRM)
+    if subject.plan.problem.ignores_seeds or not (untried or running):
+        return None
+    most = len({end.number for pair in pairs for end in (pair.safe, pair.unsafe)}) * DEFAULT_CONFIRMATIONS
+    return _ask(
+        subject,
+        FollowUpKind.CONFIRM,
+        question="Do both ends hold?",
+        label="Simulate both ends again",
+        words="Simulates both ends of each threshold with other seeds, until each is confirmed or refuted.",
+        cost=f"It takes at most {most:,} simulations.",
+    )
+
+
+def _component(subject: Subject, sharp: Sequence[ThresholdView]) -> Step | None:
+    """Return the step that asks whether the component is to blame; None if there is nothing left to do."""
+    untried = [one for one in sharp if one.blame is ComponentPart.NOT_TRIED]
+    running = _running(subject, FollowUpKind.COMPONENT)
+    if refusal(lambda: with_truth(subject.plan.problem)) or not (untried or running):
+        return None
+    return _ask(
+        subject,
+        FollowUpKind.COMPONENT,
+        question="Is the component to blame?",
+        label="Blame the component",
+        words="Simulates each unsafe end once more, with ground truth in place of the component.",
+        cost=f"It takes at most {len(sharp):,} simulations.",
+        by_default=subject.role is Role.SOUGHT,
+    )
+
+
+def _running(subject: Subject, kind: FollowUpKind) -> StoredFollowUp | None:
+    """Return the follow-up of a kind that is being simulated, if any."""
+    asked = (one for one in subject.stored if one.kind is kind and one.selection is Selection.PAIRS)
+    return next((one for one in asked if one.campaign.status not in ENDED), None)
+
+
+def _ask(
+    subject: Subject,
+    kind: FollowUpKind,
+    *,
+    question: str,
+    label: str,
+    words: str,
+    cost: str,
+    by_default: bool = False,
+) -> Step:
+    running = _running(subject, kind)
+    return Step(
+        kind=kind.value,
+        question=question,
+        label=label,
+        words=words if running else f"{words} {cost}",
+        command=f"brink thresholds {subject.campaign.id} {question_of(kind).option}",
+        request=StepRequest(path=f"{subject.path}/thresholds/follow-ups", body={"kind": kind.value}),
+        follow_up=None if running is None else follow_up_view(running.kind, running.campaign),
+        by_default=by_default,
+        tells_more=True,
+    )
 
 
 KIND = ThresholdsKind()

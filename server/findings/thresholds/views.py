@@ -66,15 +66,27 @@ class ThresholdView(View):
     ]
     words: Annotated[str, Field(description="The change and what it does, in a sentence.")]
     change: Annotated[str, Field(description="What changes from the 20% to the 80% point, in words.")]
-    turns: Annotated[str, Field(description="The 50% point with its interval, such as `1.4 s [1.3, 1.6]`.")]
+    turns: Annotated[
+        str,
+        Field(
+            description="The 50% point with its interval, such as `1.4 s [1.3, 1.6]`, or between which values it "
+            "turns."
+        ),
+    ]
     within: Annotated[str, Field(description="The stretch from 20 to 80% in words, such as `0.2 s (2%)`.")]
     rule: Annotated[
         str,
         Field(
-            description="The resulting rule in words, such as `unsafe in at least 80% of drives from 1.5 s on`."
+            description="The resulting rule in words, such as `unsafe with a probability of at least 80% from "
+            "1.5 s [1.4, 1.6] up to 8.0 s`."
         ),
     ]
-    held: Annotated[str, Field(description="What is held: what both ends have in common, in words.")]
+    held: Annotated[
+        str,
+        Field(
+            description="What is held: what both ends have in common, in words, with … in place of what changes."
+        ),
+    ]
     fails: Annotated[str, Field(description="How the unsafe end fails, in words, without moments.")]
     requirements: list[str]
     kind: Annotated[
@@ -112,7 +124,15 @@ class ThresholdView(View):
     ]
     chancy: Annotated[float, Field(description="Probability that there is no threshold.")]
     drives: Annotated[int, Field(description="Simulations that it rests on, each with a seed of its own.")]
-    blame: Annotated[ComponentPart, Field(description="Whether the component or the scenario is to blame.")]
+    blame: Annotated[
+        ComponentPart,
+        Field(
+            description="Whether the component or the scenario is to blame for the unsafe end, if that was tried."
+        ),
+    ]
+    truth: Annotated[
+        str, Field(description="What the unsafe end shows with ground truth, in words; empty if not tried.")
+    ]
     pair: Annotated[
         TightPairView | None, Field(description="Drives at both ends; null if there is none on a side.")
     ]
@@ -127,10 +147,24 @@ class ThresholdsView(View):
     name: str
     status: CampaignStatus
     sentence: str
+    note: Annotated[
+        str,
+        Field(
+            description="Where there is no threshold: what was tried, and what that leaves open; else empty."
+        ),
+    ]
     confidence: Annotated[float, Field(description="Confidence of all intervals.")]
     replayable: Annotated[
         bool, Field(description="Whether drives are recorded, so that both ends can be filmed.")
     ]
+    computed: Annotated[
+        bool,
+        Field(
+            description="Whether verdicts are deterministic, so that a threshold lies between two solutions and "
+            "nothing is estimated."
+        ),
+    ]
+    has_component: Annotated[bool, Field(description="Whether ground truth can replace a component.")]
     kinds: Annotated[int, Field(description="Different kinds among the thresholds.")]
     left_out: Annotated[int, Field(description="Lines that were not estimated, because there are too many.")]
     thresholds: Annotated[

@@ -15,7 +15,10 @@ from support.sweep import Sweep, along_x, by_seed
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.server.problems.catalogue import ALGORITHMS
+from brink.search.algorithm import Evaluation, Scored
+from brink.search.space import Categorical, Component, SearchSpace
+from brink.server.problems.base import InProcessProblem, NoParams, Vectors
+from brink.server.problems.catalogue import ALGORITHMS, PROBLEMS
 from brink.sim import catalogue
 
 pytestmark = module_on_sqlite
@@ -23,6 +26,24 @@ API = "/api/v1/campaigns"
 SHARED = along_x(0.0, [0.0, 2.0, 1.5, 0.5, 1.2])
 FRESH = along_x(0.0, [0.85, 0.9, 0.95, 1.0, 1.0, 1.05, 1.1, 1.15, 0.92, 0.97, 1.03, 1.08] * 3)
 """Places along a radius of the ball, which is unsafe within about 1 m."""
+
+
+class Choices(InProcessProblem):
+    """Unsafe by night in rain or fog: a space without numbers."""
+
+    id = "choices@1"
+    summary = "Choices."
+    params_type = NoParams
+
+    def __init__(self, params: NoParams) -> None:
+        choices = Categorical("light", ("day", "night")), Categorical("weather", ("clear", "rain", "fog"))
+        self.space = SearchSpace((Component("where", choices),))
+
+    def evaluate(self, vectors: Vectors) -> Evaluation:
+        """Return the verdict of two choices."""
+        values = self.space.decode(tuple(vectors))["where"]
+        unsafe = values["light"] == "night" and values["weather"] != "clear"
+        return Scored(unsafe=unsafe, robustness=-1.0 if unsafe else 1.0)
 
 
 def sweep(rows: list[list[float]], shared: int = 0, **changes: Any) -> dict[str, Any]:
@@ -34,6 +55,7 @@ def sweep(rows: list[list[float]], shared: int = 0, **changes: Any) -> dict[str,
 def client(module_databases: Databases) -> Iterator[httpx.Client]:
     with module_databases.database() as url, small_problems(), pytest.MonkeyPatch.context() as patch:
         patch.setitem(catalogue._registered, ALGORITHMS, {Sweep.id: Sweep})
+        patch.setitem(catalogue._registered[PROBLEMS], Choices.id, Choices)
         with listening_coordinator(url) as opened:
             yield opened
 
@@ -71,11 +93,13 @@ def test_the_radius_of_the_ball_is_found_with_an_interval_in_metres(threshold: d
     assert not threshold["rises"]
     assert not threshold["states_resolution"]
     assert threshold["turns"].startswith(f"{threshold['middle']:.2f} m [{threshold['low']:.2f}, ")
-    assert threshold["rule"].startswith(f"unsafe in at least 80% of drives at {threshold['at_80']:.2f} m")
-    assert threshold["rule"].endswith(" and below")
+    assert threshold["rule"] == f"unsafe with a probability of at least 80% at {threshold['at_80']:.2f} m", (
+        "nothing was simulated beyond the interval of the 80% point"
+    )
     assert threshold["held"] == "what.y 0 m"
     assert threshold["kind"] == ["where.x", "violated distance"]
-    assert threshold["change"].startswith("where.x ")
+    assert threshold["change"] == f"where.x {threshold['at_80']:.2f} m instead of {threshold['at_20']:.2f} m"
+    assert threshold["words"] == f"{threshold['change']}: {threshold['fails']}"
 
 
 def test_it_rests_on_the_drives_with_a_seed_of_their_own(threshold: dict[str, Any]) -> None:
@@ -149,12 +173,12 @@ def test_ends_that_are_simulated_again_are_confirmed(client: httpx.Client) -> No
     wide = along_x(0.0, [0.5, 1.5, 0.8, 1.2, 0.96, 1.04, 0.7, 1.3] * 3)
     campaign = run(client, sweep(wide))
     found = expect(client.get(f"{API}/{campaign}/findings/thresholds"))
-    (step,) = [one for one in found["steps"] if one["kind"] == "ends"]
+    (step,) = [one for one in found["steps"] if one["kind"] == "confirm"]
     asked = expect(client.post(f"/api/v1/{step['request']['path']}", json=step["request"]["body"]), 201)
     FakeWorker(client, judge=by_seed).work(asked["campaign"])
     (one,) = expect(client.get(f"{API}/{campaign}/findings/thresholds"))["view"]["thresholds"]
     assert one["pair"]["confirmation"] in ("confirmed", "undecided")
-    assert one["pair"]["safe"]["again"]["evaluated"] == 30
+    assert 15 <= one["pair"]["safe"]["again"]["evaluated"] <= 30, "until it is confirmed"
 
 
 def test_a_window_and_a_chancy_line_are_said(client: httpx.Client) -> None:
@@ -168,8 +192,9 @@ def test_a_window_and_a_chancy_line_are_said(client: httpx.Client) -> None:
     first, second = found["view"]["thresholds"]
     assert (first["outcome"], second["outcome"]) == ("threshold", "chancy")
     assert first["window"].startswith("further on, from -1.")
-    assert ", up to -1." in first["rule"]
-    assert (second["rule"], second["pair"]) == ("", None)
+    assert " down to -0." in first["rule"], "and not to where it is safe again"
+    assert (second["rule"], second["pair"], second["turns"]) == ("", None, "nowhere")
+    assert second["words"] == "What: y varied from -0.30 m to 0.27 m: chance decides, no value does"
     assert found["sentence"].endswith("; 1 chancy line")
 
 
@@ -178,7 +203,7 @@ def test_a_campaign_without_lines_says_nothing_of_them_unless_asked(client: http
     kinds = [one["kind"] for one in expect(client.get(f"{API}/{campaign}/findings"))["findings"]]
     assert "thresholds" not in kinds
     asked = expect(client.get(f"{API}/{campaign}/findings/thresholds"))
-    assert asked["sentence"] == "no threshold: no unit was varied alone with enough episode seeds"
+    assert asked["sentence"] == "no threshold: no number was varied alone with enough episode seeds"
     assert (asked["is_empty"], asked["tables"]) == (True, [])
 
 
@@ -188,7 +213,60 @@ def test_without_chance_a_threshold_is_a_bracket_as_wide_as_the_resolution(clien
     found = expect(client.get(f"{API}/{campaign}/findings/thresholds"))
     (one,) = found["view"]["thresholds"]
     assert (one["at_80"], one["at_20"], one["rises"]) == (0.495, 0.51, False)
-    assert one["turns"] == "0.50 [0.49, 0.51]"
+    assert one["turns"] == "between 0.495 and 0.51"
+    assert one["rule"] == "unsafe from 0.49 down to 0.00"
+    assert found["sentence"] == "1 threshold of 1 kind; safe and unsafe values 2% of the range apart"
+    told = str([found["tables"][0]["columns"], found["legend"], found["trust"], found["caveats"]])
+    assert "90%" not in told
+    assert "with a probability of" not in told
     assert [step["kind"] for step in found["steps"]] == ["look"]
     coarse = run(client, sweep(bisected[:3], problem={"id": Line.id}))
     assert expect(client.get(f"{API}/{coarse}/findings/thresholds"))["is_empty"]
+
+
+def asked(client: httpx.Client, campaign: str) -> dict[str, Any]:
+    found: dict[str, Any] = expect(client.get(f"{API}/{campaign}/findings/thresholds"))
+    assert len(found["sentence"].split()) <= 25
+    return found
+
+
+def test_where_nothing_is_unsafe_the_finding_says_what_was_tried(client: httpx.Client) -> None:
+    campaign = run(client, sweep(along_x(0.0, [1.5, 1.6, 1.9, 1.4, 1.7])))
+    found = asked(client, campaign)
+    assert found["sentence"] == "no threshold: none of 5 drives was unsafe"
+    [told] = found["more"]
+    assert "whole budget was spent on looking for an unsafe drive. Solution 3 came closest" in told
+    assert "may be unsafe" in told
+    [step] = found["steps"]
+    assert step["kind"] == "longer"
+
+
+def test_where_everything_is_unsafe_the_finding_says_so(client: httpx.Client) -> None:
+    found = asked(client, run(client, sweep(along_x(0.0, [0.1, 0.2, 0.3]))))
+    assert found["sentence"] == "no threshold: all 3 drives were unsafe"
+    assert "search a wider space" in found["more"][0]
+
+
+def test_where_chance_decides_everywhere_the_finding_says_on_how_many_lines(client: httpx.Client) -> None:
+    found = asked(client, run(client, sweep([[0.98, -0.3 + 0.03 * place] for place in range(20)])))
+    assert found["sentence"] == "no threshold: chance decides on 1 line (20 drives)"
+    assert "another number, or several together, may decide" in found["more"][0]
+
+
+def test_a_space_without_numbers_has_categorical_pairs_and_no_thresholds(client: httpx.Client) -> None:
+    body = ball(simulations=30, problem={"id": Choices.id}, algorithm={"id": "edge@2"})
+    campaign = run(client, body)
+    found = asked(client, campaign)
+    assert found["sentence"] == "no threshold: the search space has no numbers, only categories"
+    assert found["more"] == [
+        "A category has no values in between. What changing one does is shown by the categorical pairs"
+    ]
+    pairs = expect(client.get(f"{API}/{campaign}/pairs"))
+    assert pairs["categorical"] == pairs["distinct"] > 0
+
+
+def test_a_resolution_that_the_problem_does_not_state_is_said_to_be_1_percent(
+    finding: dict[str, Any],
+) -> None:
+    [told] = [words for words in finding["caveats"] if "resolution" in words]
+    assert told == "The problem states no resolution of where: x: 1% of the range counts as the same there"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from brink.server.findings.thresholds.analysis import Amounts
+from brink.server.findings.thresholds.words import Amounts
 from brink.server.problems.catalogue import make_problem
 from brink.sim.driving.interface import PERCEPTION_STEP_S
 from brink.sim.urban.detection_errors import MAGNITUDES, ErrorType
@@ -40,3 +40,8 @@ def test_amounts_of_values_beyond_the_line_are_unknown() -> None:
     assert amounts.amount(np.inf) is None
     assert amounts.interval(1.0, np.inf) == "[2.0, beyond]"
     assert amounts.difference(0.01, 0.1) == "less than 0.2 m"
+
+
+def test_a_difference_below_the_resolution_names_the_resolution_itself() -> None:
+    amounts = Amounts(unit="m", at_0=0.0, per_1=4.0, decimals=1)
+    assert amounts.difference(0.21 / 4.0, 0.25 / 4.0) == "less than 0.25 m"  # not 0.2: it is more than that

@@ -19,7 +19,8 @@ export function thresholdCurves() {
     above,
     update: ({ view }) => {
       above.hidden = !view;
-      keyed(panels, view?.thresholds ?? [], (one) => String(one.place), panel);
+      legend.hidden = Boolean(view?.computed); // nothing is estimated
+      keyed(panels, (view?.thresholds ?? []).map((one) => ({ ...one, computed: view.computed })), (one) => String(one.place), panel);
     },
   };
 }
@@ -40,12 +41,20 @@ function panel(first) {
     const shown = range(one);
     text(heading, `${one.place}. ${sentence(one.words)}`);
     replace(ends, [shown.low, (shown.low + shown.high) / 2, shown.high].map((at, place) => h("span", null, `${at.toFixed(one.decimals)}${place === 2 && one.unit ? ` ${one.unit}` : ""}`)));
-    text(meaning, `${one.parameter}: 50% at ${one.turns}; ${one.drives} drives`);
-    attribute(picture, "aria-label", `${one.words}: share of drives that are unsafe, by ${one.parameter}. 50% at ${one.turns}, from 20 to 80% within ${one.within}.`);
+    text(meaning, meaningOf(one));
+    attribute(picture, "aria-label", `${one.words}: share of drives that are unsafe, by ${one.parameter}. ${meaningOf(one)}.`);
     replace(picture, curve(one, shown));
   };
   node.update(first);
   return node;
+}
+
+/** Return where a line turns, and on how many drives that rests. */
+function meaningOf(one) {
+  if (one.computed) return `${one.parameter}: turns ${one.turns}`;
+  const drives = `${one.drives} drives`;
+  if (one.outcome !== "threshold") return `${one.parameter}: ${one.outcome}; ${drives}`;
+  return `${one.parameter}: 50% at ${one.turns}, from 20 to 80% within ${one.within}; ${drives}`;
 }
 
 /** Return the part of the line that is shown: near the threshold if there is one, all of it otherwise. */
@@ -73,14 +82,14 @@ function curve(one, { low, high }) {
   return [
     sharp && h("rect", { x: from, y: 0, width: Math.max(to - from, 1), height: HEIGHT, fill: "var(--line)", opacity: 0.8 }),
     [0, 0.5, 1].map((at) => across(at, { stroke: "var(--line)" })),
-    [0.2, 0.8].map((at) => across(at, { stroke: "var(--muted)", "stroke-dasharray": "4 3" })),
-    h("path", { d: `M${[...points(one.curve.high), ...points(one.curve.low).reverse()].join("L")}Z`, fill: "var(--unsafe)", opacity: 0.15 }),
-    h("polyline", { points: points(share).join(" "), fill: "none", stroke: "var(--unsafe)", "stroke-width": 2, "vector-effect": "non-scaling-stroke" }),
+    !one.computed && [0.2, 0.8].map((at) => across(at, { stroke: "var(--muted)", "stroke-dasharray": "4 3" })),
+    !one.computed && h("path", { d: `M${[...points(one.curve.high), ...points(one.curve.low).reverse()].join("L")}Z`, fill: "var(--unsafe)", opacity: 0.15 }),
+    !one.computed && h("polyline", { points: points(share).join(" "), fill: "none", stroke: "var(--unsafe)", "stroke-width": 2, "vector-effect": "non-scaling-stroke" }),
     one.dots.filter((dot) => low <= dot.value && dot.value <= high).map((dot) => h("circle", {
       cx: x(dot.value), cy: y(dot.unsafe / dot.drives), r: 2 + Math.sqrt(dot.drives) * 0.8, stroke: "var(--card)",
       fill: dot.unsafe === 0 ? "var(--safe)" : dot.unsafe === dot.drives ? "var(--unsafe)" : "var(--muted)",
     })),
-    one.middle !== null && line({ x1: x(one.low ?? low), x2: x(one.high ?? high), y1: y(0.5), y2: y(0.5), stroke: "var(--ink)", "stroke-width": 2 }),
-    one.middle !== null && h("circle", { cx: x(one.middle), cy: y(0.5), r: 3.5, fill: "var(--ink)" }),
+    !one.computed && one.middle !== null && line({ x1: x(one.low ?? low), x2: x(one.high ?? high), y1: y(0.5), y2: y(0.5), stroke: "var(--ink)", "stroke-width": 2 }),
+    !one.computed && one.middle !== null && h("circle", { cx: x(one.middle), cy: y(0.5), r: 3.5, fill: "var(--ink)" }),
   ].filter(Boolean);
 }

@@ -1,0 +1,108 @@
+"""`brink thresholds`: where exactly drives turn from safe to unsafe, and further simulations of both ends."""
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from brink.api.client import Api
+from brink.api.follow_ups import OPEN, follow_up_options, follow_up_requests
+from brink.api.terminal import echo
+from brink.cli.findings import show_kind
+from brink.cli.follow_ups import run_follow_ups
+from brink.cli.local import run_locally
+from brink.cli.options import (
+    AsJson,
+    CampaignId,
+    ConfirmPairs,
+    Database,
+    Server,
+    WithGroundTruth,
+    Workers,
+    check_picture,
+    console,
+    print_json,
+    settings_with,
+    with_api,
+)
+from brink.report.thresholds import draw_thresholds
+from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, question_of
+from brink.server.findings.finding import Finding
+from brink.server.findings.follow_ups import FollowUpView
+
+SHOWN = 20
+
+
+def thresholds(
+    campaign: CampaignId,
+    confirm: ConfirmPairs = None,
+    component: WithGroundTruth = False,
+    limit: Annotated[
+        int, typer.Option(min=1, max=MOST_PAIRS_FOLLOWED, help="Maximum number of thresholds.")
+    ] = SHOWN,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Draw how likely a violation is along each number (.png, .svg or .pdf)."),
+    ] = None,
+    workers: Workers = 2,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show the thresholds of a campaign: the values at which drives turn from safe to unsafe.
+
+    Each line says what changes, between which values, what is held, how the unsafe drive fails, and who is to blame.
+    What --confirm and --component find out is stored and shown from then on. Without --server, the command runs a
+    coordinator and workers until it is known; calling it again continues.
+
+    Example: brink thresholds 3f2a
+
+    Example: brink thresholds 3f2a --confirm 30 --component
+
+    Example: brink thresholds 3f2a --picture thresholds.png
+    """
+    if picture is not None:
+        check_picture(picture)
+    requests = follow_up_requests({}, confirm, component=component, limit=limit)
+    screen = console(stderr=as_json)
+    complete = True
+    if requests and server is None:
+        complete = run_locally(
+            settings_with(database=database, port=0),
+            screen,
+            lambda session: run_follow_ups(
+                session,
+                campaign,
+                [partial(_ask, session.api, campaign, request) for request in requests],
+                workers,
+                f"thresholds {campaign} {follow_up_options(requests)}",
+            ),
+        )
+
+    async def show(api: Api) -> None:
+        for request in requests if server is not None else ():
+            view = await _ask(api, campaign, request)
+            if view is not None and view.status in OPEN:
+                told = f"campaign {view.campaign} simulates them ({question_of(view.kind).simulates})"
+                screen.print(f"{told}; the same command shows what is known so far", soft_wrap=True)
+        path = f"/campaigns/{campaign}/findings/thresholds"
+        if picture is not None:
+            draw_thresholds(await api.read(Finding, path), picture)
+            echo(picture)
+        elif as_json:
+            print_json(await api.get(path))
+        else:
+            more = f"--limit up to {MOST_PAIRS_FOLLOWED:,}"
+            await show_kind(api, campaign, "thresholds", {"rows": limit}, more=more)
+
+    with_api(server, database, show)
+    raise typer.Exit(int(not complete))
+
+
+async def _ask(api: Api, campaign: str, request: dict[str, Any]) -> FollowUpView | None:
+    """Start a follow-up, or return an identical one; None if the campaign has no threshold."""
+    finding = await api.read(Finding, f"/campaigns/{campaign}/findings/thresholds", {"rows": 1})
+    if not any(term.term != "0" for term in finding.figures[:1]):
+        return None  # the finding says why
+    return await api.send(FollowUpView, f"/campaigns/{campaign}/thresholds/follow-ups", request)
