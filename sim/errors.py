@@ -2,6 +2,7 @@
 
 SimulatorError
 ├── InvalidEpisode      final: the specification can never run; fix it
+│   └── DrivingSystemFailed  the driving system under test raised an error, or returned no valid decision
 ├── PluginMissing       final: a module listed in BRINK_PLUGINS cannot be imported
 ├── ExtraMissing        final: a simulator needs an optional extra that is not installed here
 ├── GuardFileError      final: a file is not a guard that this version can use; fit the guard again
@@ -15,6 +16,13 @@ class SimulatorError(Exception):
 
 class InvalidEpisode(SimulatorError):
     """The specification can never be run by this simulator."""
+
+
+class DrivingSystemFailed(InvalidEpisode):
+    """The driving system under test raised an error, or returned no valid decision.
+
+    It is final: the same drive would fail in the same way.
+    """
 
 
 class PluginMissing(SimulatorError):

@@ -18,7 +18,7 @@ for all of it at once.
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Final
 
 from brink.guard.box_filter import BoxFilter, BoxFilterSettings
@@ -230,7 +230,7 @@ class IgnoreBoxes:
         if observation.boxes is None:
             return observation
         plausible = self._filter.plausible(observation.time_s, observation.ego, observation.boxes)
-        return observation._replace(boxes=plausible) if active else observation
+        return replace(observation, boxes=plausible) if active else observation
 
     def step(self, observation: Observation, command: Command, reading: GuardReading) -> Command:
         """Return the command unchanged."""

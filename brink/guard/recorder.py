@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 
 from brink.guard.features import ALL_FEATURES, FeatureExtractor
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import (
-    Command,
-    DrivingSystem,
-    Observation,
-    PerceivedObstacle,
-    PlanState,
-    Route,
-)
+from brink.sim.driving.interface import Command, Driving, Observation, PerceivedObstacle, PlanState, Route
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Verdict
 from brink.sim.errors import InvalidEpisode
 from brink.sim.guard.interface import KnownConditions, RangeScan
@@ -68,7 +61,7 @@ class WatchedDriving:
         watch: Called with what a guard would receive in each control step.
     """
 
-    def __init__(self, driving: DrivingSystem, sensor: RangeSensor, watch: Callable[[Moment], None]) -> None:
+    def __init__(self, driving: Driving, sensor: RangeSensor, watch: Callable[[Moment], None]) -> None:
         self._driving = driving
         self._sensor = sensor
         self._watch = watch
@@ -94,31 +87,24 @@ class WatchedDriving:
 
 
 class _Watching(BrinkDrive):
-    """Runs one urban episode with a watched driving system, and keeps its moments.
-
-    Args:
-        spec: The episode.
-    """
+    """Runs urban episodes with a watched driving system, and keeps the moments of the last one."""
 
     route: Route
     conditions: KnownConditions
     moments: list[Moment]
 
-    def __init__(self, spec: EpisodeSpec) -> None:
-        self._spec = spec
-
-    def _driving(self, world: World, camera: Camera) -> DrivingSystem:
-        scenario = UrbanScenario.from_json(self._spec.scenario)
+    def _driving(self, spec: EpisodeSpec, world: World, camera: Camera) -> Driving:
+        scenario = UrbanScenario.from_json(spec.scenario)
         self.route, self.conditions, self.moments = world.route, known_conditions(scenario), []
-        sensor = range_sensor(world, scenario, self._spec)
-        return WatchedDriving(super()._driving(world, camera), sensor, self.moments.append)
+        sensor = range_sensor(world, scenario, spec)
+        return WatchedDriving(super()._driving(spec, world, camera), sensor, self.moments.append)
 
 
 class _WatchingErrors(_Watching, BrinkDriveErrors):
     """The same, with errors relative to the truth."""
 
 
-_SIMULATORS: Final[Mapping[str, Callable[[EpisodeSpec], _Watching]]] = {
+_SIMULATORS: Final[Mapping[str, Callable[[], _Watching]]] = {
     BrinkDrive.id: _Watching,
     BrinkDriveErrors.id: _WatchingErrors,
 }
@@ -155,7 +141,7 @@ def observe_drive(spec: EpisodeSpec) -> ObservedDrive:
         raise InvalidEpisode(
             f"simulator: a guard can be fitted to drives of {', '.join(SIMULATORS)}; got {spec.simulator!r}"
         )
-    simulator = make(spec)
+    simulator = make()
     result = simulator.run(spec)
     return ObservedDrive(
         route=simulator.route, conditions=simulator.conditions, moments=simulator.moments, result=result

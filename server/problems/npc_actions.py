@@ -29,6 +29,13 @@ from brink.server.problems.base import (
     wrong_detector,
 )
 from brink.server.problems.camera_settings import latency_setting, least_visible_setting, pitch_setting
+from brink.server.problems.driving_systems import (
+    check_driving_settings,
+    driving_options,
+    driving_setting,
+    driving_settings_setting,
+    wrong_driving,
+)
 from brink.server.problems.traffic_changes import words_of_traffic_change
 from brink.sim.encounter.specification import (
     PLACE_FIELDS,
@@ -114,10 +121,13 @@ class NpcActionsParams:
     latency_s: float = latency_setting()
     pitch: bool = pitch_setting()
     least_visible: float = least_visible_setting()
+    driving: str = driving_setting()
+    driving_settings: dict[str, Any] = driving_settings_setting()  # noqa: RUF009  (returns a field)
     timeout_s: float = setting(60.0, help="Wall-clock limit of an episode.", gt=0.0, le=3600.0, unit="s")
 
     def __post_init__(self) -> None:
         check_settings(self)
+        check_driving_settings(self.driving_settings, self.driving)
         if self.violation == "red-light@1" and self.road_curve != LIT:
             raise ConfigError(
                 "violation", f"expected another requirement, or road_curve: {LIT}; no other road has lights"
@@ -186,8 +196,9 @@ class NpcActions(SimulatedProblem):
         return type(self)(replace(self.params, sight="oracle"))
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return the errors of the detector."""
-        return [] if self.params.sight == "oracle" else wrong_detector(self.params.detector)
+        """Return errors in the name of the driving system, and in the name or file of the detector."""
+        detector = [] if self.params.sight == "oracle" else wrong_detector(self.params.detector)
+        return [*wrong_driving(self.params.driving), *detector]
 
     def participants(self, vectors: Vectors) -> tuple[Participant, ...]:
         """Return the road users of a candidate."""
@@ -220,7 +231,11 @@ class NpcActions(SimulatedProblem):
             requirements=self.evaluated,
             seed=seed,
             duration_s=self.params.duration_s,
-            options={REFERENCE: True, **{name: getattr(self.params, name) for name in CAMERA_OPTIONS}},
+            options={
+                REFERENCE: True,
+                **{name: getattr(self.params, name) for name in CAMERA_OPTIONS},
+                **driving_options(self.params.driving, self.params.driving_settings),
+            },
         )
 
     def _behaviour(self) -> dict[str, Json]:

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Self
 from brink.search.settings import setting
 from brink.search.space import SearchSpace
 from brink.server.problems.base import SimulatedProblem, Vectors, wrong_detector
+from brink.server.problems.driving_systems import wrong_driving
 from brink.server.problems.requirements import requirement_setting
 from brink.server.problems.urban_injected import (
     REQUIREMENTS,
@@ -61,6 +62,10 @@ class UrbanScenarios(SimulatedProblem):
         self.needs = self.simulator
         self.timeout_s = params.timeout_s
 
+    def wrong_inputs(self) -> list[tuple[str, str]]:
+        """Return errors in the name of the driving system."""
+        return wrong_driving(self.params.driving)
+
     def behaviour(self, seed: int) -> Mapping[str, Json]:
         """Return the behaviour of the detector in an episode."""
         raise NotImplementedError
@@ -109,8 +114,8 @@ class UrbanCamera(UrbanScenarios):
         self.measured_detector = params.detector
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return errors in the name or file of the detector."""
-        return wrong_detector(self.params.detector)
+        """Return errors in the name of the driving system, and in the name or file of the detector."""
+        return [*super().wrong_inputs(), *wrong_detector(self.params.detector)]
 
     def behaviour(self, seed: int) -> Mapping[str, Json]:
         """Return the detector."""

@@ -30,6 +30,13 @@ from brink.search.space import (
 )
 from brink.server.problems.base import BEHAVIOUR, Activity, SeverityScale, SimulatedSolution, Vectors
 from brink.server.problems.camera_settings import latency_setting, least_visible_setting, pitch_setting
+from brink.server.problems.driving_systems import (
+    check_driving_settings,
+    driving_options,
+    driving_setting,
+    driving_settings_setting,
+    wrong_driving,
+)
 from brink.server.problems.error_slots import SCENARIO, SlottedBehaviour, interchangeable, prefixes
 from brink.server.problems.requirements import check_requirements, chosen_requirements, requirement_setting
 from brink.server.problems.resolutions import RESOLUTION_PX
@@ -83,21 +90,27 @@ class UrbanParams:
     latency_s: float = latency_setting()
     pitch: bool = pitch_setting()
     least_visible: float = least_visible_setting()
+    driving: str = driving_setting()
+    driving_settings: dict[str, Any] = driving_settings_setting()  # noqa: RUF009  (returns a field)
     timeout_s: float = setting(60.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")
 
     def __post_init__(self) -> None:
         check_settings(self)
+        check_driving_settings(self.driving_settings, self.driving)
         check_requirements(self.requirement, plugin_ids(REQUIREMENT_PLUGINS))
 
     @property
     def options(self) -> dict[str, Json]:
         """The options of each episode."""
-        return DriveOptions(
-            fidelity=self.fidelity,
-            latency_s=self.latency_s,
-            pitch=self.pitch,
-            least_visible=self.least_visible,
-        ).to_json()
+        return {
+            **DriveOptions(
+                fidelity=self.fidelity,
+                latency_s=self.latency_s,
+                pitch=self.pitch,
+                least_visible=self.least_visible,
+            ).to_json(),
+            **driving_options(self.driving, self.driving_settings),
+        }
 
     @property
     def requirements(self) -> tuple[str, ...]:
@@ -216,6 +229,10 @@ class UrbanInjected(SlottedBehaviour):
         self.needs = SIMULATOR
         self._trajectories = _trajectories(self.space)
         self.timeout_s = params.timeout_s
+
+    def wrong_inputs(self) -> list[tuple[str, str]]:
+        """Return errors in the name of the driving system."""
+        return wrong_driving(self.params.driving)
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a scenario and a behaviour."""

@@ -17,7 +17,7 @@ from brink.sim.aeb.street import StreetWorld, make_street_world
 from brink.sim.bullet.engine import EngineError, bullet_versions, discard_engine, process_engine
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import CONTROL_STEP_S, Box, DrivingSystem, PlanMode
+from brink.sim.driving.interface import CONTROL_STEP_S, Box, Driving, PlanMode
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import SimulationCrashed
 from brink.sim.perception.boxes import MIN_HEIGHT_SHARE, MIN_WIDTH_SHARE
@@ -190,7 +190,7 @@ class _FirstStop:
     time_s: float | None = None
     gap_m: float | None = None
 
-    def see(self, sample: WorldSample, driving: DrivingSystem) -> None:
+    def see(self, sample: WorldSample, driving: Driving) -> None:
         """Observe a control step."""
         stands = sample.speed_mps < STANDS_BELOW_MPS and driving.plan.mode is PlanMode.STOP
         if stands and self.time_s is None:

@@ -4,10 +4,14 @@ Frames: world x east, y north, yaw counter-clockwise from x, all on the ground p
 along the ego's lane centre line, offset d to its left. The camera looks along the ego's yaw; image x points right, y
 down, in pixels.
 
-Values created at every step are named tuples: immutable like all values here, and created in less than half the time
-of a frozen dataclass. Create them with keywords.
+`brink.sim.driving_systems` is the interface for driving systems of users. What they share with this module is part of
+it, and stays: it may gain attributes, so read and create all values by name.
+
+Most values created at every step are named tuples: immutable like all values here, and created in less than half the
+time of a frozen dataclass.
 """
 
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple, Protocol
 
@@ -63,15 +67,47 @@ class LightReading(NamedTuple):
     stop_line_station_m: float
 
 
-class Observation(NamedTuple):
+class SeenObject(NamedTuple):
+    """A road user in the ego's frame: origin at the centre of its body, x ahead, y left.
+
+    Attributes:
+        id: The same number in every step, as long as it is followed.
+        label: Vehicle or person.
+        existence: How sure it is that it exists, in [0, 1].
+        x_m: Centre of its body, ahead of the ego's centre.
+        y_m: Centre of its body, left of the ego's centre.
+        yaw_rad: Its heading relative to the ego's, counter-clockwise.
+        vx_mps: Velocity over ground (not relative to the ego), along the ego's x axis.
+        vy_mps: Velocity over ground, along the ego's y axis.
+        length_m: Extent along its heading.
+        width_m: Extent across its heading.
+    """
+
+    id: int
+    label: ObstacleLabel
+    existence: float
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    vx_mps: float
+    vy_mps: float
+    length_m: float
+    width_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observation:
     """Everything that the driving system receives in one control step (20 Hz).
 
     Attributes:
         time_s: Simulated time.
         ego: Localised state of the ego.
-        boxes: The detector's output when a new one arrives (10 Hz); None at the steps between.
+        boxes: The detector's output when a new one arrives (10 Hz); None at the steps between, and for systems that
+            get objects.
         light: The next traffic light, or None if none is detected.
-        seen_s: Time of the image that `boxes` and `light` were detected in, if it is older than `time_s`.
+        seen_s: Time of the image that `boxes`, `objects` and `light` come from, if it is older than `time_s`.
+        objects: The road users around when a new report arrives, moved on to `time_s`, for systems that get objects;
+            None at the steps between, and for systems that get boxes.
     """
 
     time_s: float
@@ -79,6 +115,7 @@ class Observation(NamedTuple):
     boxes: tuple[Box, ...] | None
     light: LightReading | None
     seen_s: float | None = None
+    objects: tuple[SeenObject, ...] | None = None
 
 
 class Command(NamedTuple):
@@ -96,7 +133,7 @@ class Command(NamedTuple):
 
 
 class PlanMode(StrEnum):
-    """The planner's current activity, for traces and replays."""
+    """The planner's current activity. Guards know these six; other words are for traces and replays alone."""
 
     CRUISE = "cruise"
     FOLLOW = "follow"
@@ -107,9 +144,15 @@ class PlanMode(StrEnum):
 
 
 class PlanState(NamedTuple):
-    """The planner's decision, for traces and replays."""
+    """The planner's decision, for guards, traces and replays.
 
-    mode: PlanMode
+    Attributes:
+        mode: A `PlanMode`, or other words; empty if unknown.
+        target_speed_mps: Speed that it wants to reach.
+        target_offset_m: Offset from the middle of the lane that it wants to reach.
+    """
+
+    mode: str
     target_speed_mps: float
     target_offset_m: float
 
@@ -145,6 +188,16 @@ class Crossing(NamedTuple):
 
 class Route(Protocol):
     """The ego's lane centre line from start to goal, with map data."""
+
+    @property
+    def start_pose(self) -> tuple[float, float, float]:
+        """x_m, y_m and yaw_rad at station 0."""
+        ...
+
+    @property
+    def pieces(self) -> tuple[tuple[float, float], ...]:
+        """The straights and arcs of the line, from station 0: length in m, curvature in 1/m, positive to the left."""
+        ...
 
     @property
     def length_m(self) -> float:
@@ -194,8 +247,11 @@ class Route(Protocol):
         ...
 
 
-class DrivingSystem(Protocol):
-    """The driving system under test. Create a new one for each episode."""
+class Driving(Protocol):
+    """Whoever drives the ego, as simulators see it. Create a new one for each episode.
+
+    Driving systems of users are simpler (`brink.sim.driving_systems.DrivingSystem`); `SystemUnderTest` adapts them.
+    """
 
     def step(self, observation: Observation) -> Command:
         """Run one control step and return its command."""

@@ -38,8 +38,44 @@ _DEFAULT_CAMERA = Camera()
 _DEFAULT_SETTINGS = DrivingSettings()
 
 
+class BoxTracking:
+    """Places boxes where the ego was when their image was taken, and follows them. Create a new one for each episode.
+
+    Args:
+        localiser: Boxes to places.
+        tracker: Places to tracks.
+    """
+
+    __slots__ = ("_localiser", "_poses", "_tracker")
+
+    def __init__(self, localiser: Localiser, tracker: Tracker) -> None:
+        self._localiser = localiser
+        self._tracker = tracker
+        self._poses: deque[tuple[float, EgoState]] = deque(maxlen=REMEMBERED_STEPS)
+
+    def update(self, observation: Observation) -> list[Track] | None:
+        """Process one control step.
+
+        Returns:
+            The confirmed tracks at the time of the image; None if the observation has no boxes.
+        """
+        time_s, boxes = observation.time_s, observation.boxes
+        self._poses.append((time_s, observation.ego))
+        if boxes is None:
+            return None
+        seen_s = time_s if observation.seen_s is None else observation.seen_s
+        return self._tracker.update(seen_s, self._localiser.locate(self._pose_at(seen_s), boxes))
+
+    def _pose_at(self, time_s: float) -> EgoState:
+        """Return the ego's state in the latest step at or before a time, or the oldest that is remembered."""
+        for step_s, state in reversed(self._poses):
+            if step_s <= time_s + 1e-9:
+                return state
+        return self._poses[0][1]
+
+
 class ModularDriving:
-    """Implements `brink.sim.driving.interface.DrivingSystem`. Create a new one for each episode.
+    """Implements `brink.sim.driving.interface.Driving`. Create a new one for each episode.
 
     Args:
         route: Route to follow.
@@ -52,17 +88,7 @@ class ModularDriving:
         controller: Plan to command; by default pure pursuit and PID.
     """
 
-    __slots__ = (
-        "_controller",
-        "_localiser",
-        "_plan",
-        "_planner",
-        "_poses",
-        "_predictor",
-        "_speed_mps",
-        "_tracker",
-        "_tracks",
-    )
+    __slots__ = ("_controller", "_plan", "_planner", "_predictor", "_speed_mps", "_tracking", "_tracks")
 
     def __init__(
         self,
@@ -76,63 +102,51 @@ class ModularDriving:
         planner: Planner | None = None,
         controller: Controller | None = None,
     ) -> None:
-        self._localiser = localiser or GroundPlaneLocaliser(route, camera, settings.localisation)
-        self._tracker = tracker or AlphaBetaTracker(settings.tracking)
+        self._tracking = BoxTracking(
+            localiser or GroundPlaneLocaliser(route, camera, settings.localisation),
+            tracker or AlphaBetaTracker(settings.tracking),
+        )
         self._predictor = predictor or ConstantVelocityPredictor(route, settings.prediction)
         self._planner = planner or RoutePlanner(route, settings.shape, settings.planning)
         self._controller = controller or PursuitController(route, settings.shape, settings.control)
         self._tracks: list[Track] = []
-        self._poses: deque[tuple[float, EgoState]] = deque(maxlen=REMEMBERED_STEPS)
         self._speed_mps = 0.0
         self._plan = Plan(PlanMode.CRUISE, 0.0, 0.0, 0.0, 0.0)
 
     def step(self, observation: Observation) -> Command:
         """Run one control step and return its command."""
-        time_s, ego, boxes, light, seen_s = observation
-        self._poses.append((time_s, ego))
-        if boxes is not None:
-            if seen_s is None:
-                seen_s = time_s
-            # Boxes belong where the ego was when the image was taken; what they show has moved on since.
-            places = self._localiser.locate(self._pose_at(seen_s), boxes)
-            self._tracks = self._tracker.update(seen_s, places)
-            age_s = time_s - seen_s
-            obstacles = self._predictor.predict(time_s, ego, self._tracks, age_s) if self._tracks else ()
+        time_s, ego = observation.time_s, observation.ego
+        tracks = self._tracking.update(observation)
+        if tracks is not None:
+            self._tracks = tracks
+            # What the image shows has moved on since.
+            age_s = 0.0 if observation.seen_s is None else time_s - observation.seen_s
+            obstacles = self._predictor.predict(time_s, ego, tracks, age_s) if tracks else ()
             self._planner.perceive(time_s, ego, obstacles)
-        self._plan = plan = self._planner.plan(time_s, ego, light)
+        self._plan = plan = self._planner.plan(time_s, ego, observation.light)
         self._speed_mps = ego.speed_mps
         return self._controller.control(ego, plan)
-
-    def _pose_at(self, time_s: float) -> EgoState:
-        """Return the ego's state in the latest step at or before a time, or the oldest that is remembered."""
-        for step_s, state in reversed(self._poses):
-            if step_s <= time_s + 1e-9:
-                return state
-        return self._poses[0][1]
 
     @property
     def plan(self) -> PlanState:
         """The planner's last decision; the target speed is what its acceleration limit allows within 1 s."""
         plan = self._plan
-        return PlanState(
-            mode=plan.mode,
-            target_speed_mps=max(min(plan.cruise_mps, self._speed_mps + plan.accel_limit_mps2), 0.0),
-            target_offset_m=plan.target_offset_m,
-        )
+        speed_mps = max(min(plan.cruise_mps, self._speed_mps + plan.accel_limit_mps2), 0.0)
+        return PlanState(plan.mode, speed_mps, plan.target_offset_m)
 
     @property
     def obstacles(self) -> tuple[PerceivedObstacle, ...]:
         """The confirmed tracks of the last perception step, with the centres of their bodies."""
         return tuple(
             PerceivedObstacle(
-                track=track.number,
-                label=track.label,
-                x_m=track.x_m,
-                y_m=track.y_m,
-                vx_mps=track.vx_mps,
-                vy_mps=track.vy_mps,
-                length_m=track.length_m,
-                width_m=track.width_m,
+                track.number,
+                track.label,
+                track.x_m,
+                track.y_m,
+                track.vx_mps,
+                track.vy_mps,
+                track.length_m,
+                track.width_m,
             )
             for track in self._tracks
         )

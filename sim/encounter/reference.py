@@ -222,7 +222,7 @@ def _meets(sight: ObservedUser, speed_mps: float, length_m: float, enters_s: flo
 
 
 class ReferenceDriving:
-    """A reference driver at the wheel of the ego. Implements `DrivingSystem`; create a new one for each episode.
+    """A reference driver at the wheel of the ego. Implements `Driving`; create a new one for each episode.
 
     Args:
         world: The world, of which it knows the truth.

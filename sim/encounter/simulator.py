@@ -15,8 +15,9 @@ from typing import ClassVar, Final
 from brink.sim.bullet.engine import EngineError, bullet_versions, discard_engine, process_engine
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import Box, DrivingSystem
-from brink.sim.driving.system import ModularDriving
+from brink.sim.driving.interface import Box, Driving
+from brink.sim.driving_systems.option import OPTION as DRIVING
+from brink.sim.driving_systems.option import DrivingOption
 from brink.sim.encounter.reference import AFTERWARDS_S, NOBODY, Driver, ReferenceDriving, avoidance, avoids
 from brink.sim.encounter.specification import REFERENCE, EncounterScenario
 from brink.sim.encounter.witness import EncounterWitness
@@ -38,7 +39,7 @@ AVOIDED_BY: Final = "avoided_by"
 """Fact about a violation that a reference driver avoids: how, as `Avoidance`."""
 MAX_GAP_M: Final = 200.0
 """Upper bound of reported gaps, so that they are finite when no road user is present."""
-_OPTIONS: Final = (REFERENCE, *CAMERA_OPTIONS)
+_OPTIONS: Final = (REFERENCE, *CAMERA_OPTIONS, DRIVING)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,11 +110,11 @@ class BrinkEncounter:
             return self._detects(spec, scenario, world, camera)
         return None if record else _nothing
 
-    def _driving(self, spec: EpisodeSpec, world: EncounterWorld, camera: Camera) -> DrivingSystem:
+    def _driving(self, spec: EpisodeSpec, world: EncounterWorld, camera: Camera) -> Driving:
         """Return the driving system of an episode, new."""
         if spec.behaviour["mode"] == REFERENCE:
             return ReferenceDriving(world, Driver(str(spec.behaviour["driver"])))
-        return ModularDriving(world.route, camera=camera)
+        return DrivingOption.of(spec.options).start(world.route, world.ego.model, camera, spec.seed)
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
         """Run one episode.
@@ -192,7 +193,13 @@ class BrinkEncounter:
                 "closest": witness.closest,
                 "closest_moving": witness.closest_moving,
             },
-            provenance=provenance(self.id, cpu_s, versions, simulated_s=outcome.last.time_s),
+            provenance=provenance(
+                self.id,
+                cpu_s,
+                versions,
+                simulated_s=outcome.last.time_s,
+                **DrivingOption.of(spec.options).provenance(),
+            ),
         )
         trace = None if recorder is None else recorder.trace(trace_header(spec, verdicts, versions))
         return _Drive(
@@ -277,7 +284,7 @@ def _with_driver(spec: EpisodeSpec, driver: Driver, duration_s: float) -> Episod
         simulator=BrinkEncounter.id,
         behaviour={"mode": REFERENCE, "driver": driver.value},
         duration_s=min(spec.duration_s, duration_s),
-        options={name: value for name, value in spec.options.items() if name != REFERENCE},
+        options={name: value for name, value in spec.options.items() if name not in (REFERENCE, DRIVING)},
     )
 
 

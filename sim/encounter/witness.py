@@ -8,7 +8,7 @@ import math
 from collections import deque
 from typing import Final, NamedTuple
 
-from brink.sim.driving.interface import CONTROL_STEP_S, DrivingSystem, PlanMode
+from brink.sim.driving.interface import CONTROL_STEP_S, Driving, PlanMode
 from brink.sim.encounter.world import EncounterWorld, ScriptedUser
 from brink.sim.episode import Json, JsonObject
 from brink.sim.plane import Rectangle, half_extents_m, signed_gap_m
@@ -120,11 +120,11 @@ class EncounterWitness:
         self._seen: set[str] = set()
         self.violations: list[JsonObject] = []
 
-    def see(self, sample: WorldSample, driving: DrivingSystem) -> None:
+    def see(self, sample: WorldSample, driving: Driving) -> None:
         """Observe a control step, after all road users have moved."""
         self._sample = sample
         mode = driving.plan.mode
-        self._mode = mode.value
+        self._mode = str(mode)
         if mode is PlanMode.STOP and self.brakes_at_s is None:
             self.brakes_at_s = sample.time_s
         self._history.append((sample.speed_mps, sample.yaw_rad, sample.offset_m))

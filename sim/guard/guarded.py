@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from brink.sim.driving.interface import (
     CONTROL_STEP_S,
     Command,
-    DrivingSystem,
+    Driving,
     Observation,
     PerceivedObstacle,
     PlanState,
@@ -25,7 +25,7 @@ from brink.sim.guard.interface import Fallback, Guard, GuardReading, RangeScan
 
 
 class Guarded:
-    """Implements `brink.sim.driving.interface.DrivingSystem`. Create a new one for each drive.
+    """Implements `brink.sim.driving.interface.Driving`. Create a new one for each drive.
 
     Args:
         system: The driving system.
@@ -42,7 +42,7 @@ class Guarded:
 
     def __init__(
         self,
-        system: DrivingSystem,
+        system: Driving,
         guard: Guard,
         fallback: Fallback,
         *,

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol, Self, cast
 
 from brink.sim.catalogue import load_plugin, plugin_ids
-from brink.sim.driving.interface import DrivingSystem, Route
+from brink.sim.driving.interface import Driving, Route
 from brink.sim.episode import Json, JsonObject, nearest, parse_number
 from brink.sim.errors import InvalidEpisode
 from brink.sim.guard.guarded import Guarded
@@ -167,7 +167,7 @@ class GuardOption:
 
     def around(
         self,
-        system: DrivingSystem,
+        system: Driving,
         route: Route,
         conditions: KnownConditions,
         *,

@@ -19,7 +19,7 @@ from brink.sim.driving.interface import (
     PERCEPTION_STEP_S,
     Box,
     Command,
-    DrivingSystem,
+    Driving,
     EgoState,
     LightReading,
     LightState,
@@ -167,7 +167,7 @@ STANDS_BELOW_MPS = 0.1
 class Witness(Protocol):
     """Observes an episode to record what neither requirements nor traces record."""
 
-    def see(self, sample: WorldSample, driving: DrivingSystem) -> None:
+    def see(self, sample: WorldSample, driving: Driving) -> None:
         """Observe a control step, after all road users have moved."""
         ...
 
@@ -200,7 +200,7 @@ class Outcome:
 
 def run_loop(
     world: World,
-    driving: DrivingSystem,
+    driving: Driving,
     behaviour: DetectorBehaviour,
     requirements: Mapping[str, Requirement],
     *,
@@ -270,7 +270,7 @@ class _Loop:
     """The state of an episode between steps."""
 
     world: World
-    driving: DrivingSystem
+    driving: Driving
     sensing: Sensing
     facts: Facts
     requirements: Mapping[str, Requirement]

@@ -6,6 +6,7 @@ from typing import Final, Self
 
 from brink.sim.driving.camera import LEAST_VISIBLE
 from brink.sim.driving.interface import LATENCY_S
+from brink.sim.driving_systems.option import OPTION as DRIVING
 from brink.sim.episode import Json, nearest, parse_number
 from brink.sim.errors import InvalidEpisode
 from brink.sim.guard.option import OPTION as GUARD
@@ -16,7 +17,7 @@ FIDELITIES: Final = (BICYCLE, WHEELS)
 MAX_LATENCY_S: Final = 1.0
 CAMERA_OPTIONS: Final = ("latency_s", "pitch", "least_visible")
 """Options of every drive with a camera, also of encounters."""
-_NAMES: Final = ("fidelity", *CAMERA_OPTIONS, GUARD)
+_NAMES: Final = ("fidelity", *CAMERA_OPTIONS, GUARD, DRIVING)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

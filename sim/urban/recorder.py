@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import Box, DrivingSystem, ObstacleLabel, PlanMode
+from brink.sim.driving.interface import Box, Driving, ObstacleLabel
 from brink.sim.episode import Json
 from brink.sim.guard.guarded import Guarded
 from brink.sim.requirements import WorldSample
@@ -73,10 +73,10 @@ class Recorder:
         self._events: list[Event] = []
         self._readings: list[tuple[tuple[float, ...], bool, bool]] = []
         self._shown: tuple[Sequence[Box], Sequence[Box]] = ((), ())
-        self._mode: PlanMode | None = None
+        self._mode: str | None = None
 
     def sample(
-        self, time_s: float, driving: DrivingSystem, seen: Sequence[Box], given: Sequence[Box], light: str
+        self, time_s: float, driving: Driving, seen: Sequence[Box], given: Sequence[Box], light: str
     ) -> None:
         """Record a perception step, after the driving system has decided.
 
@@ -114,11 +114,12 @@ class Recorder:
             ]
         )
         plan = driving.plan
-        if plan.mode is not self._mode:
+        mode = str(plan.mode)
+        if mode != self._mode:
             if self._mode is not None:
-                self.event(time_s, f"plan-{plan.mode.value}", f"the plan is now: {plan.mode.value}")
-            self._mode = plan.mode
-        self._modes.append(plan.mode.value)
+                self.event(time_s, f"plan-{mode}", f"the plan is now: {mode or 'unknown'}")
+            self._mode = mode
+        self._modes.append(mode)
         self._speeds.append(plan.target_speed_mps)
         self._offsets.append(plan.target_offset_m)
         self._lights.append(light)
@@ -136,7 +137,7 @@ class Recorder:
             shares[sight.body] = sight.visible
         return shares
 
-    def end(self, time_s: float, driving: DrivingSystem, light: str) -> None:
+    def end(self, time_s: float, driving: Driving, light: str) -> None:
         """Record the end of the episode, with the boxes of the last perception step.
 
         Args:

@@ -15,8 +15,8 @@ from brink.sim.bullet.engine import Engine, EngineError, bullet_versions, discar
 from brink.sim.bullet.wheels import WheeledCar
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import DrivingSystem
-from brink.sim.driving.system import ModularDriving
+from brink.sim.driving.interface import Driving
+from brink.sim.driving_systems.option import DrivingOption
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import SimulationCrashed
 from brink.sim.guard.guarded import Guarded
@@ -44,9 +44,13 @@ class BrinkDrive:
 
     id = SIMULATOR_ID
 
-    def _driving(self, world: World, camera: Camera) -> DrivingSystem:
-        """Return the driving system under test, new."""
-        return ModularDriving(world.route, camera=camera)
+    def _driving(self, spec: EpisodeSpec, world: World, camera: Camera) -> Driving:
+        """Return the driving system under test, new.
+
+        Raises:
+            InvalidEpisode: The specification names none that is registered here.
+        """
+        return DrivingOption.of(spec.options).start(world.route, world.ego.model, camera, spec.seed)
 
     def _detector(self, spec: EpisodeSpec) -> "UrbanDetector":
         """Return the obstacle detector of an episode.
@@ -96,7 +100,7 @@ class BrinkDrive:
         camera = Camera(least_visible=options.least_visible)
         world = make_world(scenario, spec.seed, _ego_maker(options, engine))
         recorder = Recorder(world, spec.requirements, camera) if record else None
-        system = self._driving(world, camera)
+        system = self._driving(spec, world, camera)
         guarded = None if guard is None else _with_guard(system, guard, world, scenario, spec)
         outcome = run_loop(
             world,
@@ -122,7 +126,13 @@ class BrinkDrive:
                 **features_of(requirements),
                 **({} if guarded is None else guarded.account.features()),
             },
-            provenance=provenance(self.id, cpu_s, versions, simulated_s=outcome.last.time_s),
+            provenance=provenance(
+                self.id,
+                cpu_s,
+                versions,
+                simulated_s=outcome.last.time_s,
+                **DrivingOption.of(spec.options).provenance(),
+            ),
             trace=None
             if recorder is None
             else recorder.trace(trace_header(spec, verdicts, versions), guarded).to_bytes(),
@@ -192,7 +202,7 @@ class _WithErrors:
 
 
 def _with_guard(
-    system: DrivingSystem, guard: GuardOption, world: World, scenario: UrbanScenario, spec: EpisodeSpec
+    system: Driving, guard: GuardOption, world: World, scenario: UrbanScenario, spec: EpisodeSpec
 ) -> Guarded:
     """Return the driving system of an episode with its guard and, if the guard needs one, a range sensor."""
     conditions = known_conditions(scenario)

@@ -327,6 +327,16 @@ class LaneRoute:
     crossings: tuple[Crossing, ...] = ()
 
     @property
+    def start_pose(self) -> tuple[float, float, float]:
+        """x_m, y_m and yaw_rad at station 0."""
+        return self.line.start
+
+    @property
+    def pieces(self) -> tuple[tuple[float, float], ...]:
+        """The straights and arcs of the line: length in m, curvature in 1/m, positive to the left."""
+        return tuple((piece.length_m, piece.curvature_1pm) for piece in self.line.pieces)
+
+    @property
     def length_m(self) -> float:
         """Length from the first to the last station."""
         return self.line.length_m

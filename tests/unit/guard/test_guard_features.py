@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -187,7 +188,7 @@ def test_boxes_without_an_extent_are_left_out() -> None:
 
 
 def test_a_step_without_boxes_is_refused() -> None:
-    between = observed(0)._replace(boxes=None)
+    between = replace(observed(0), boxes=None)
     with pytest.raises(ValueError, match="perception step"):
         FeatureExtractor(straight()).step(between, COAST)
 

@@ -1,5 +1,7 @@
 """The emergency brake: its regions to the pixel, and its latch to the frame."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -176,7 +178,7 @@ def test_between_images_the_brake_holds_and_counts_nothing() -> None:
     assert not brake.step(waiting).emergency
     late = Observation(time_s=0.2, ego=ego, boxes=(PERSON,), light=None, seen_s=0.1)
     assert brake.step(late).emergency
-    assert [brake.step(waiting._replace(time_s=t)).emergency for t in (0.25, 0.35, 0.4)] == [
+    assert [brake.step(replace(waiting, time_s=t)).emergency for t in (0.25, 0.35, 0.4)] == [
         True,
         True,
         False,

@@ -13,7 +13,7 @@ from brink.server.problems.urban_injected import UrbanInjected
 from brink.sim.bullet.engine import process_engine
 from brink.sim.bullet.wheels import WheeledCar
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import CONTROL_STEP_S, DrivingSystem
+from brink.sim.driving.interface import CONTROL_STEP_S, Driving
 from brink.sim.driving.system import ModularDriving
 from brink.sim.episode import JsonObject
 from brink.sim.requirements import WorldSample
@@ -72,7 +72,7 @@ class Motion:
         ego = self.world.ego
         self.ego_pose, self.ego_mps, self.ego_steer_rad = (ego.x_m, ego.y_m), ego.speed_mps, ego.steer_rad
 
-    def see(self, sample: WorldSample, driving: DrivingSystem) -> None:
+    def see(self, sample: WorldSample, driving: Driving) -> None:
         """Compare the last step."""
         for walker in self.world.walkers:
             before_mps = self.poses[walker.name][3]

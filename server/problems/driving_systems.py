@@ -1,0 +1,52 @@
+"""Parameters of all problems in which a driving system of users may take the place of Brink's own."""
+
+from collections.abc import Mapping
+from dataclasses import field
+from typing import Any
+
+from brink.search.errors import ConfigError
+from brink.search.settings import setting
+from brink.sim.driving_systems.option import OWN, DrivingOption, factory_of, wrong_settings
+from brink.sim.episode import Json
+from brink.sim.errors import InvalidEpisode
+
+
+def driving_setting() -> Any:
+    """Return the field ``driving`` of a problem's parameters, annotated ``str``."""
+    return setting(
+        OWN, help="Driving system: its id, or MODULE:CLASS of a plug-in module; by default Brink's own."
+    )
+
+
+def driving_settings_setting() -> Any:
+    """Return the field ``driving_settings`` of a problem's parameters, annotated ``dict[str, Any]``."""
+    return field(default_factory=dict, metadata={"help": "Settings that the driving system gets."})
+
+
+def check_driving_settings(settings: Mapping[str, Any], driving: str) -> None:
+    """Check the settings of a driving system.
+
+    Raises:
+        ConfigError: They are not JSON, or there are some for Brink's own, which has none.
+    """
+    if (why := wrong_settings(settings)) is not None:
+        raise ConfigError("driving_settings", why)
+    if settings and driving == OWN:
+        raise ConfigError("driving_settings", f"expected a driving system other than {OWN}, which has none")
+
+
+def driving_options(driving: str, settings: Mapping[str, Any]) -> dict[str, Json]:
+    """Return the options that an episode has because of its driving system; none for Brink's own."""
+    return DrivingOption(system=driving, settings=settings).to_options()
+
+
+def wrong_driving(driving: str) -> list[tuple[str, str]]:
+    """Return the errors in the parameter ``driving``, as pairs of a parameter's name and a message.
+
+    None of the driving system's code runs here: only workers make one.
+    """
+    try:
+        factory_of(driving, "driving")
+    except InvalidEpisode as error:
+        return [("driving", str(error).removeprefix("driving: "))]
+    return []
