@@ -39,7 +39,7 @@ from brink.plots.style import (
 )
 from brink.search.algorithm import Scored
 from brink.search.parameters import Number
-from brink.server.findings.thresholds.analysis import Amounts
+from brink.server.findings.thresholds.words import Amounts
 
 DRIVES: Final = 200
 """Simulations along a unit."""

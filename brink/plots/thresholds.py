@@ -112,7 +112,7 @@ def _panel(axes: Axes, one: ThresholdView, *, computed: bool) -> None:
             axes.axhline(level, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
     shown = [dot for dot in one.dots if low <= dot.value <= high]
     _dots(axes, shown, high - low)
-    if one.middle is not None and not computed:
+    if one.outcome is Outcome.THRESHOLD and one.middle is not None and not computed:
         ends = [low if one.low is None else one.low, high if one.high is None else one.high]
         axes.plot(ends, [0.5, 0.5], color=INK, linewidth=1.8, solid_capstyle="butt", zorder=5)
         axes.plot([one.middle], [0.5], "o", color=INK, markersize=6, zorder=6)
@@ -122,7 +122,8 @@ def _panel(axes: Axes, one: ThresholdView, *, computed: bool) -> None:
     show_percent(axes.yaxis)
     axes.tick_params(labelsize=TICK_PT - 1)
     unit = f" ({one.unit})" if one.unit else ""
-    axes.set_xlabel(f"{one.parameter}{unit}", fontsize=SMALL_PT, color=MUTED)
+    parameter = one.parameter.partition(",")[0]  # the rest would run into the next panel
+    axes.set_xlabel(f"{parameter}{unit}", fontsize=SMALL_PT, color=MUTED)
     found = f"turns {one.turns}" if computed else f"50% at {one.turns}, 20 to 80% within {one.within}"
     told = _STATES.get(one.outcome, found)
     _titles(axes, one, told, sum(dot.drives for dot in one.dots) - sum(dot.drives for dot in shown))

@@ -48,8 +48,8 @@ from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.pairs.table import pair_columns, pair_rows
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView
 from brink.server.findings.table import Table
-from brink.server.findings.thresholds.kind import COLUMNS as THRESHOLD_COLUMNS
 from brink.server.findings.thresholds.kind import KIND as THRESHOLDS
+from brink.server.findings.thresholds.kind import columns as threshold_columns
 from brink.server.findings.violations.views import Violations
 from brink.server.states import CampaignStatus
 from brink.server.views import SolutionView
@@ -507,7 +507,7 @@ class Result(CampaignResult, Synchronous[AsyncResult]):
 async def _thresholds_of(api: Api, campaign: str) -> "pd.DataFrame":
     """Return the thresholds that a follow-up of pairs found as a data frame; without any, it has all columns."""
     finding = await api.read(Finding, f"/campaigns/{campaign}/findings/{THRESHOLDS.id}")
-    empty = Table(name=THRESHOLDS.id, title="", columns=THRESHOLD_COLUMNS, rows=[])
+    empty = Table(name=THRESHOLDS.id, title="", columns=threshold_columns(computed=False), rows=[])
     return table_frame(finding.table(None) or empty)
 
 

@@ -34,6 +34,7 @@ from brink.server.findings.thresholds.views import (
     TightPairView,
 )
 from brink.server.findings.thresholds.words import (
+    BLAMED,
     Amounts,
     change_of,
     headline,
@@ -61,7 +62,6 @@ def thresholds_view(
     read: ReadArchive,
     found: CampaignThresholds,
     stored: Sequence[StoredFollowUp],
-    limit: int,
 ) -> ThresholdsView:
     """Return the thresholds of a campaign.
 
@@ -71,7 +71,6 @@ def thresholds_view(
         read: Its archive.
         found: Its thresholds.
         stored: Its follow-ups.
-        limit: Most lines to return.
     """
     ends = [Ends.of(read.archive, one) for one in found.all]
     numbers = {number for one in ends for number in (one.safe, one.unsafe)}
@@ -97,8 +96,8 @@ def thresholds_view(
         computed=problem.ignores_seeds,
         has_component=problem.has_component,
         kinds=len(kinds),
-        left_out=found.left_out + max(0, len(views) - limit),
-        thresholds=views[:limit],
+        left_out=found.left_out,
+        thresholds=views,
     )
 
 
@@ -203,6 +202,7 @@ def _view(
         chancy=one.chancy,
         drives=one.drives,
         blame=truth.state,
+        blame_words=BLAMED[truth.state] if problem.has_component and one.outcome is Outcome.THRESHOLD else "",
         truth=truth.outcome,
         pair=_pair(one, ends, amounts, outcomes, evidence),
         dots=_dots(one, amounts),

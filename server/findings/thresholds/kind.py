@@ -18,7 +18,6 @@ from brink.server.findings.pairs.views import ComponentPart
 from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.thresholds.analysis import thresholds_view
 from brink.server.findings.thresholds.views import ThresholdsView, ThresholdView
-from brink.server.findings.thresholds.words import BLAMED
 from brink.server.findings.words import counted
 from brink.server.states import FollowUpKind, Selection
 
@@ -57,11 +56,15 @@ _AFTER: Final = [
 ]
 
 
-def _columns(view: ThresholdsView) -> list[Column]:
-    """Return the columns; without chance, nothing is estimated, and no column says so."""
+def columns(*, computed: bool) -> list[Column]:
+    """Return the columns of a table of thresholds.
+
+    Args:
+        computed: Whether verdicts are deterministic: nothing is estimated then, and no column says so.
+    """
     change, turns, within = (
         ("change from safe to unsafe", "turns", "safe and unsafe apart")
-        if view.computed
+        if computed
         else ("change from 20% to 80% unsafe", "50% point, 90% interval", "20 to 80% within")
     )
     return [
@@ -90,8 +93,7 @@ class ThresholdsKind(Kind):
         sources, campaign = subject.sources, subject.campaign
         found = await sources.thresholds.get(campaign, subject.read)
         view = await sources.pages.read(
-            sources.engines,
-            lambda c: thresholds_view(c, campaign, subject.read, found, subject.stored, max(subject.rows, 1)),
+            sources.engines, lambda c: thresholds_view(c, campaign, subject.read, found, subject.stored)
         )
         sharp = [one for one in view.thresholds if one.outcome is Outcome.THRESHOLD]
         pairs = [one.pair for one in view.thresholds if one.pair is not None]
@@ -100,10 +102,10 @@ class ThresholdsKind(Kind):
             title=self.title,
             role=subject.role,
             sentence=view.sentence,
-            more=[words for words in (_sharpest(sharp), _blame(view), view.note) if words],
+            more=[words for words in (_sharpest(sharp), _tried(sharp), _blame(view), view.note) if words],
             purpose=f"Brink searched for thresholds: a {subject.noun} and one number along which it turns from safe "
             "to unsafe while all else is held.",
-            example="".join(f"For example: {one.words}" for one in sharp[:1]),
+            example="".join(f"For example, {_in_sentence(one.words)}" for one in sharp[:1]),
             figures=_figures(view, found),
             caveats=_caveats(view),
             trust=_trust(view, subject.noun),
@@ -112,7 +114,7 @@ class ThresholdsKind(Kind):
             if subject.role is Role.SOUGHT
             else [],
             is_empty=not view.thresholds,
-            view=view if view.thresholds else None,
+            view=_first(view, max(subject.rows, 1)) if view.thresholds else None,
             tables=[thresholds_table(view, subject.rows)] if view.thresholds else [],
             steps=_steps(subject, view),
         )
@@ -132,19 +134,25 @@ class ThresholdsKind(Kind):
         return words
 
 
+def _first(view: ThresholdsView, rows: int) -> ThresholdsView:
+    """Return a view with its first lines alone; everything else about it is of all lines."""
+    left_out = view.left_out + max(0, len(view.thresholds) - rows)
+    return view.model_copy(update={"thresholds": view.thresholds[:rows], "left_out": left_out})
+
+
 def thresholds_table(view: ThresholdsView, rows: int | None = None) -> Table:
     """Return thresholds as a table with one row for each line."""
     shown = view.thresholds[:rows]
     return Table(
         name="thresholds",
         title="Thresholds, the narrowest stretch first",
-        columns=_columns(view),
-        rows=[_row(one, view) for one in shown],
+        columns=columns(computed=view.computed),
+        rows=[_row(one) for one in shown],
         left_out=view.left_out + len(view.thresholds) - len(shown),
     )
 
 
-def _row(one: ThresholdView, view: ThresholdsView) -> list[str | int | float | bool | None]:
+def _row(one: ThresholdView) -> list[str | int | float | bool | None]:
     pair = one.pair
     return [
         one.place,
@@ -157,7 +165,7 @@ def _row(one: ThresholdView, view: ThresholdsView) -> list[str | int | float | b
         one.fails,
         one.rule,
         one.outcome.value,
-        BLAMED[one.blame] if view.has_component and one.outcome is Outcome.THRESHOLD else "",
+        one.blame_words,
         one.drives,
         None if pair is None else pair.safe.number,
         None if pair is None else pair.unsafe.number,
@@ -201,6 +209,10 @@ def _figures(view: ThresholdsView, found: CampaignThresholds) -> list[Term]:
     if chancy := len(found.of(Outcome.CHANCY)):
         words = "chancy line, without a threshold" if chancy == 1 else "chancy lines, without a threshold"
         told.append(Term(term=f"{chancy:,}", words=words))
+    states = [one.pair.confirmation for one in view.thresholds if one.pair is not None]
+    if tried := sum(state not in (Confirmation.NOT_TRIED, Confirmation.PENDING) for state in states):
+        words = "thresholds: both ends confirmed with other seeds"
+        told.append(Term(term=f"{states.count(Confirmation.CONFIRMED):,} of {tried:,}", words=words))
     if asked := _asked(view):
         words = "thresholds: the component is to blame, judged with one seed each"
         told.append(Term(term=f"{_blamed(asked):,} of {len(asked):,}", words=words))
@@ -209,7 +221,28 @@ def _figures(view: ThresholdsView, found: CampaignThresholds) -> list[Term]:
 
 def _sharpest(sharp: Sequence[ThresholdView]) -> str:
     """Return the first threshold in a sentence; empty without any."""
-    return "".join(f"The sharpest: {one.words}" for one in sharp[:1])
+    return "".join(f"The sharpest: {_in_sentence(one.words)}" for one in sharp[:1])
+
+
+def _in_sentence(words: str) -> str:
+    """Return words as the later part of a sentence."""
+    return words[:1].lower() + words[1:]
+
+
+def _tried(sharp: Sequence[ThresholdView]) -> str:
+    """Return whether the ends hold with other seeds; empty where nothing can tell, or nothing was tried."""
+    states = [one.pair.confirmation for one in sharp if one.pair is not None]
+    tried = [state for state in states if state not in (Confirmation.NOT_TRIED, Confirmation.PENDING)]
+    if not tried:
+        return ""
+    told = ", ".join(
+        f"{tried.count(state):,} {state.value}"
+        for state in (Confirmation.CONFIRMED, Confirmation.UNDECIDED, Confirmation.REFUTED)
+    )
+    return (
+        f"Both ends of {counted(len(tried), 'threshold')} were simulated again with other seeds: {told}. Ends lie "
+        "close to the 20 and 80% points, so that many simulations are needed to tell"
+    )
 
 
 def _asked(view: ThresholdsView) -> list[ThresholdView]:

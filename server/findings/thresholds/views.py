@@ -130,6 +130,7 @@ class ThresholdView(View):
             description="Whether the component or the scenario is to blame for the unsafe end, if that was tried."
         ),
     ]
+    blame_words: Annotated[str, Field(description="The same in words; empty where nothing can tell.")]
     truth: Annotated[
         str, Field(description="What the unsafe end shows with ground truth, in words; empty if not tried.")
     ]

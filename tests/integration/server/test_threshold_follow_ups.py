@@ -103,6 +103,11 @@ def test_ground_truth_tells_whether_the_component_is_to_blame_for_a_threshold(
     assert step["words"].endswith("It takes at most 2 simulations.")
     asked = expect(client.post(f"/api/v1/{step['request']['path']}", json=step["request"]["body"]), 201)
     assert blamed(finding_of(client, campaign)) == ["ground truth pending"] * 2
+    few = expect(client.get(f"{API}/{campaign}/findings", params={"rows": 1}))
+    assert len(few["findings"][0]["view"]["thresholds"]) == 1
+    assert [one["words"] for one in few["steps"]][1:2] == [one["words"] for one in before["steps"]][1:2], (
+        "a step is about all thresholds, however many rows are listed"
+    )
     (running,) = [one for one in finding_of(client, campaign)["steps"] if one["kind"] == "component"]
     assert running["follow_up"]["campaign"] == asked["campaign"]
     work(client, asked["campaign"])
@@ -130,6 +135,10 @@ def test_the_command_confirms_both_ends_on_a_coordinator(client: httpx.Client, c
     work(client, step["follow_up"]["campaign"])
     states = {one["pair"]["confirmation"] for one in finding_of(client, campaign)["view"]["thresholds"]}
     assert states == {"confirmed"}
+    told = (
+        "Both ends of 2 thresholds were simulated again with other seeds: 2 confirmed, 0 undecided, 0 refuted"
+    )
+    assert any(words.startswith(told) for words in finding_of(client, campaign)["more"])
 
 
 def test_a_campaign_without_thresholds_cannot_be_asked_about_them(client: httpx.Client) -> None:

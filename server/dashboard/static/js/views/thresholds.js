@@ -25,7 +25,8 @@ export function thresholdCurves() {
   };
 }
 
-function panel(first) {
+/** Return the curve of one threshold as a figure; ``update`` takes later states of it. */
+export function panel(first) {
   const heading = h("strong");
   const picture = h("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img" });
   const ends = h("div.ends.small.muted", { "aria-hidden": "true" });
@@ -89,7 +90,7 @@ function curve(one, { low, high }) {
       cx: x(dot.value), cy: y(dot.unsafe / dot.drives), r: 2 + Math.sqrt(dot.drives) * 0.8, stroke: "var(--card)",
       fill: dot.unsafe === 0 ? "var(--safe)" : dot.unsafe === dot.drives ? "var(--unsafe)" : "var(--muted)",
     })),
-    !one.computed && one.middle !== null && line({ x1: x(one.low ?? low), x2: x(one.high ?? high), y1: y(0.5), y2: y(0.5), stroke: "var(--ink)", "stroke-width": 2 }),
-    !one.computed && one.middle !== null && h("circle", { cx: x(one.middle), cy: y(0.5), r: 3.5, fill: "var(--ink)" }),
+    sharp && !one.computed && one.middle !== null && line({ x1: x(one.low ?? low), x2: x(one.high ?? high), y1: y(0.5), y2: y(0.5), stroke: "var(--ink)", "stroke-width": 2 }),
+    sharp && !one.computed && one.middle !== null && h("circle", { cx: x(one.middle), cy: y(0.5), r: 3.5, fill: "var(--ink)" }),
   ].filter(Boolean);
 }

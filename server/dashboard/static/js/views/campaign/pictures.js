@@ -5,8 +5,10 @@ import { sentence } from "../../format.js";
 import { whenMade } from "../../polling.js";
 import { link } from "../../router.js";
 import { badge, callout, requirementBadge, workerCommand } from "../../parts/elements.js";
-import { thresholdCurves } from "../thresholds.js";
+import { panel, thresholdCurves } from "../thresholds.js";
 import { toleranceCurves } from "../tolerance.js";
+
+const SHARPEST = 2;
 
 /**
  * Return a card of figures with two pictures from above each. It appears with the first figure whose pictures can be drawn.
@@ -88,6 +90,45 @@ function avoidableViolations(context, id) {
   return card;
 }
 
+/** Add the value of a number to a badge. */
+function valued(mark, value) {
+  mark.append(` at ${value}`);
+  return mark;
+}
+
+/** Return the card of the sharpest thresholds: the curve, and the drives at both ends from above; ``update`` takes what only thresholds have. */
+function sharpestThresholds(context, id) {
+  const card = pictured(context, "Where exactly it turns", h("p.hint", null,
+    "The same drive with a lower and a higher value of one number, from above at the decisive moment, and how likely a violation is in between. Each outlines the car of the other one."));
+
+  function threshold(one) {
+    const { safe, unsafe } = one.pair;
+    const path = `campaigns/${id}/pairs/${safe.number}-${unsafe.number}`;
+    const curve = panel({ ...one, computed: false });
+    const facts = h("div.small.muted");
+    const value = (end) => `${end.value.toFixed(one.decimals)}${one.unit ? ` ${one.unit}` : ""}`;
+    const caption = h("figcaption", null, h("div", null,
+      h("a", { href: link("campaigns", id, "pairs", `${safe.number}-${unsafe.number}`) }, `Threshold ${one.place}: films of both ends`)), h("div.curves", null, curve), facts);
+    const node = card.figure(caption, ["safe", "unsafe"].map((side) => ({
+      place: `${path}/${side}.png`, side, label: `The ${side} end of threshold ${one.place} from above, at ${value(one.pair[side])}`,
+      badge: valued(requirementBadge({ kind: side === "safe" ? "held" : "violated" }), value(one.pair[side])),
+    })));
+    node.update = (next) => {
+      curve.update({ ...next, computed: false });
+      text(facts, [next.rule && sentence(next.rule), next.held && `Held: ${next.held}.`, next.blame_words && sentence(next.blame_words)].filter(Boolean).join(" "));
+    };
+    node.update(one);
+    return node;
+  }
+
+  card.update = (view) => {
+    if (!view.replayable) return;
+    const shown = view.thresholds.filter((one) => one.outcome === "threshold" && one.pair).slice(0, SHARPEST);
+    card.show(shown, (one) => `${one.pair.safe.number}-${one.pair.unsafe.number}`, threshold);
+  };
+  return card;
+}
+
 /** Return the card of the best pairs, both drives of each from above; ``update`` takes what only pairs have. */
 function bestPairs(context, id) {
   const meaning = h("span");
@@ -121,7 +162,7 @@ function bestPairs(context, id) {
 }
 
 /** Functions of the context and the campaign's id that return a card; ``update`` takes what only the kind has. */
-export const OPENING = { violations: avoidableViolations, pairs: bestPairs };
+export const OPENING = { thresholds: sharpestThresholds, violations: avoidableViolations, pairs: bestPairs };
 
 /** Functions of the context and the campaign's id that return what stands ``above`` and ``below`` the tables, and ``update``. */
 export const IN_CARD = { thresholds: thresholdCurves, tolerances: toleranceCurves };
