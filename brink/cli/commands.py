@@ -68,6 +68,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     },
     "Tools": {
         "plugins": ("brink.cli.plugins:plugins", "List and check plug-ins"),
+        "driving": ("brink.cli.driving:driving", "Check a driving system"),
         "perturbations": ("brink.cli.perturbations:perturbations", "List and show image perturbations"),
         "llm": ("brink.cli.llm:llm", "Check and preview language models"),
     },

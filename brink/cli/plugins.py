@@ -19,7 +19,9 @@ from brink.sim.catalogue import (
     plugin_ids,
     plugin_source,
 )
+from brink.sim.driving_systems.option import DRIVING_SYSTEMS
 from brink.sim.testing import check_requirement
+from brink.worker.driving_check import check_driving_system
 
 _BUDGET: Final = 130
 """Simulations of the campaigns that check an algorithm: enough for a few generations of most."""
@@ -128,8 +130,14 @@ def _check_algorithm(group: str, name: str) -> str:
     return f"passed on the spaces {', '.join(searched)}"
 
 
+def _check_driving_system(group: str, name: str) -> str:
+    check = check_driving_system(name)
+    return f"passed on {len(check.drives)} streets"
+
+
 _CHECKS: Final[Mapping[str, Callable[[str, str], str]]] = {
     REQUIREMENTS: _check_requirement,
     PROBLEMS: _check_problem,
     ALGORITHMS: _check_algorithm,
+    DRIVING_SYSTEMS: _check_driving_system,
 }

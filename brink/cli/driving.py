@@ -1,0 +1,139 @@
+"""The commands of `brink driving`: check a driving system."""
+
+import ast
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from brink.cli.options import AsJson, console, named_values, plain_table, print_json
+from brink.server.errors import InvalidInput
+from brink.sim.catalogue import plugin_ids
+from brink.sim.driving_systems.option import DRIVING_SYSTEMS, OWN
+from brink.user_file import read_file
+from brink.worker.driving_check import drive_streets
+
+MAX_SOURCE_BYTES: Final = 4 * 1024**2
+STREETS: Final = 10
+
+driving = typer.Typer(help="Check a driving system.", no_args_is_help=True)
+
+
+@driving.callback()
+def _group() -> None:
+    """Check a driving system."""
+
+
+@driving.command()
+def check(
+    file: Annotated[
+        str,
+        typer.Argument(
+            metavar="FILE[:CLASS]",
+            help="Python file of the driving system, with its class if there are several; or a registered id.",
+            show_default=False,
+        ),
+    ],
+    setting: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            show_default=False,
+            help="Number that it gets as a setting; may be repeated.",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Drive ten streets with a driving system and say what is wrong; exit with 1 if it breaks its contract.
+
+    The streets are driven with the ground truth, several times, in two orders and two processes.
+
+    Example: brink driving check my_planner.py
+
+    Example: brink driving check my_planner.py:Planner --setting headway_s=1.2
+    """
+    system, module = _system(file)
+    found = drive_streets(
+        system,
+        named_values("--setting", setting, "headway_s=1.2"),
+        plugins=() if module is None else (module,),
+        streets=STREETS,
+    )
+    if as_json:
+        print_json(asdict(found))
+        raise typer.Exit(int(bool(found.faults)))
+    rows = [
+        (str(number), one.street, "-", "no verdict", "")
+        if one.failed is not None
+        else (
+            str(number),
+            one.street,
+            f"{one.way_m:.0f}",
+            one.ended,
+            ", ".join(f"{name} at {time_s:.1f} s" for name, time_s in one.violated_s.items()),
+        )
+        for number, one in enumerate(found.drives, start=1)
+    ]
+    screen = console()
+    screen.print(
+        plain_table("", "street", "m driven", "ended", "violated", right=("", "m driven"), rows=rows)
+    )
+    for remark in found.remarks:
+        screen.print(f"{system}: {remark}", soft_wrap=True, markup=False)
+    for fault in found.faults:
+        screen.print(f"FAULT: {fault}", soft_wrap=True, markup=False)
+    if not found.faults:
+        screen.print(
+            f"{system} keeps its contract in these streets: each drive was the same in other orders and processes"
+        )
+    raise typer.Exit(int(bool(found.faults)))
+
+
+def _system(given: str) -> tuple[str, str | None]:
+    """Return the name of a driving system, and the module to load for it; None if it is registered.
+
+    Raises:
+        InvalidInput: There is no such file, or it has not one driving system.
+    """
+    if ".py" not in given:
+        known = (OWN, *plugin_ids(DRIVING_SYSTEMS))
+        if given in known:
+            return given, None
+        raise InvalidInput.at("FILE", f"expected a Python file, or one of {', '.join(known)}; got {given!r}")
+    path, _, name = given.partition(".py:")
+    file = Path(path if name else given)
+    file = file.with_name(file.name + ".py") if name else file
+    if not file.is_file():
+        raise InvalidInput.at("FILE", f"{file}: no such file")
+    if not file.stem.isidentifier():
+        raise InvalidInput.at(
+            "FILE", f"{file}: expected a file name that Python can import, such as my_planner.py"
+        )
+    names = _classes_with_step(file)
+    if not name and len(names) != 1:
+        found = f"has {', '.join(names)}" if names else "has no class with a method step"
+        raise InvalidInput.at("FILE", f"{file} {found}: name the class or function, such as {file}:Planner")
+    folder = str(file.resolve().parent)
+    # For the processes that drive; this one never runs the file.
+    os.environ["PYTHONPATH"] = os.pathsep.join([folder, *filter(None, [os.environ.get("PYTHONPATH", "")])])
+    return f"{file.stem}:{name or names[0]}", file.stem
+
+
+def _classes_with_step(file: Path) -> list[str]:
+    """Return the names of the classes in a file that have a method ``step``; the file is not run.
+
+    Raises:
+        InvalidInput: It is not Python.
+    """
+    try:
+        tree = ast.parse(read_file(file, MAX_SOURCE_BYTES))
+    except (SyntaxError, ValueError) as error:
+        raise InvalidInput.at("FILE", f"{file}: not a Python file: {error}") from None
+    return [
+        node.name
+        for node in tree.body
+        if isinstance(node, ast.ClassDef)
+        and any(isinstance(one, ast.FunctionDef) and one.name == "step" for one in node.body)
+    ]
