@@ -9,7 +9,7 @@ from benchmarks.cli.errors import errors
 from benchmarks.cli.monitors import guard, monitor_accuracy
 from benchmarks.cli.perception import detector, perturbations, rendering, simood
 from benchmarks.cli.searches import finders, mumoea, search
-from benchmarks.cli.service import archive, chaos, dashboard, queue, scale, soak, stalls, turns
+from benchmarks.cli.service import archive, chaos, dashboard, queue, scale, soak, stalls, turns, utilisation
 from benchmarks.cli.statistics import coverage
 from benchmarks.cli.urban import control, difficulty, drivers, sim
 from brink.cli.commands import HelpfulGroup
@@ -41,6 +41,7 @@ for _command in (
     coverage,
     queue,
     scale,
+    utilisation,
     turns,
     archive,
     soak,

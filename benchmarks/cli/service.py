@@ -1,4 +1,4 @@
-"""Load and faults: `queue`, `chaos`, `stalls`, `scale`, `turns`, `archive`, `soak`, `dashboard`."""
+"""Load and faults: `queue`, `chaos`, `stalls`, `scale`, `utilisation`, `turns`, `archive`, `soak`, `dashboard`."""
 
 from typing import Annotated
 
@@ -307,6 +307,41 @@ def scale(
     names = ("jobs", "seconds", "busy_s", "coordinator_s", "writing_s", "step_s", "share", "cpu_ms", "met")
     document = [{**fields(one, *names), **fields(one.setup)} for one in found]
     conclude(document, table, as_json=as_json, missed=any(one.met is False for one in found))
+
+
+def utilisation(
+    algorithm: Annotated[
+        list[str] | None, typer.Option(help="Model only this search; may be given several times.")
+    ] = None,
+    workers: Annotated[
+        list[int] | None, typer.Option(min=1, max=5000, help="Number of workers; may be given several times.")
+    ] = None,
+    simulations: Annotated[
+        list[int] | None, typer.Option(min=100, help="Budget of a campaign; may be given several times.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Number of campaigns; means are shown.")] = 2,
+    as_json: AsJson = False,
+) -> None:
+    """Model how much of their time 1, 8 and 64 workers spend in the simulations of one campaign of a search.
+
+    The search runs; its drives only take a drawn time on the clock of the model, so no coordinator is needed. Each
+    search has its default settings, and where these are not enough for most workers, more candidates in flight.
+
+    Example: python -m benchmarks utilisation --algorithm edge@2 --simulations 1300
+    """
+    from benchmarks.utilisation import BUDGETS, IDS, WORKERS, model_searches
+
+    with show_progress() as progress:
+        rows = list(
+            model_searches(
+                progress,
+                ids=algorithm or IDS,
+                workers=workers or WORKERS,
+                budgets=simulations or BUDGETS,
+                seeds=seeds,
+            )
+        )
+    conclude_rows(rows, as_json=as_json)
 
 
 def turns(

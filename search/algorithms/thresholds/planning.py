@@ -80,9 +80,12 @@ class Plan:
 
 
 def planned(state: ThresholdState) -> ThresholdState:
-    """Return the state with the next generation queued if there is room in flight, as budget and space allow."""
+    """Return the state with the next generation queued if there is room in flight, as budget and space allow.
+
+    There is room as long as a full generation fits. Those of hunts are often smaller, so there may be more of them.
+    """
     ledger, config = state.ledger, state.config
-    if len(ledger.flight) >= config.in_flight or ledger.left <= 0:
+    if ledger.in_flight > config.generation_size * (config.in_flight - 1) or ledger.left <= 0:
         return state
     plan = Plan(int(min(config.generation_size, ledger.left)))
     for row in ledger.points[: plan.wanted]:

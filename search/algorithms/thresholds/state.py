@@ -108,8 +108,8 @@ class ThresholdConfig(LedgerConfig):
     generation_size: int = setting(20, help="Candidates per generation.", ge=1, le=10_000)
     in_flight: int = setting(
         3,
-        help="Generations in flight at a time. With more, more workers are busy; with fewer, each choice is "
-        "based on more results.",
+        help="Full generations in flight at a time, or more smaller ones. With more, more workers are busy; with "
+        "fewer, each choice is based on more results.",
         ge=1,
         le=1000,
     )

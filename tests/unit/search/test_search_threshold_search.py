@@ -232,6 +232,18 @@ def test_hunts_whose_simulations_fail_are_given_up() -> None:
     assert {hunt.stage for hunt in state.hunts} <= {Stage.GIVEN_UP, Stage.SCREEN}
 
 
+def test_small_generations_leave_room_for_more_of_them() -> None:
+    algorithm, config = ThresholdSearch(), ThresholdConfig(generation_size=20, in_flight=3)
+    state = algorithm.start(DRIVES, config, seed=1, budget=400)
+    flights = []
+    while not algorithm.finished(state):
+        state, _ = ask_all(algorithm, state)
+        flights.append([len(generation) for generation in state.ledger.flight])
+        state = algorithm.tell(state, {c.number: drive(c) for c in state.pending})
+    assert max(map(sum, flights)) == 60
+    assert max(map(len, flights)) > 3
+
+
 def test_rare_unsafe_solutions_are_found() -> None:
     space = SearchSpace((Component("a", tuple(Real(f"x{place}", 0.0, 1.0) for place in range(6))),))
 
