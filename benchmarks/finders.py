@@ -355,14 +355,20 @@ def table(problem: str, tallies: Sequence[Tally]) -> Table:
 
 
 def duels(tallies: Sequence[Tally], measure: str) -> list[str]:
-    """Return how `edge@2` compares with each rival, in sentences; p-values are corrected over all of them."""
+    """Return how `edge@2` compares with each rival that the estimation followed, in sentences.
+
+    Rivals alone are not compared: nobody else estimates thresholds. The p-values are corrected over all comparisons.
+
+    Args:
+        tallies: The runs.
+        measure: Attribute of `Tally` to compare.
+    """
     values = {
         name: [float(getattr(one, measure)) for one in ours] for name, ours in _by_method(tallies).items()
     }
-    mine = values.pop(THRESHOLDS, None)
-    if mine is None:
+    if (mine := values.get(THRESHOLDS)) is None:
         return []
-    results = {name: compared(mine, theirs) for name, theirs in values.items()}
+    results = {name: compared(mine, theirs) for name, theirs in values.items() if name.endswith(FOLLOWED)}
     adjusted = holm([one.p_value for one in results.values()])
     return [
         f"{THRESHOLDS} and {name}: {fmean(mine):.1f} against {fmean(values[name]):.1f} "

@@ -128,8 +128,9 @@ def tally(method: str, seed: int, distinct: int) -> Tally:
 
 def test_methods_are_compared_with_edge_2_after_correction() -> None:
     tallies = [tally("edge@2", seed, 10 + seed) for seed in range(1, 9)]
-    tallies += [tally("GA", seed, seed) for seed in range(1, 9)]
-    tallies += [tally("BSV", seed, 10 + seed) for seed in range(1, 9)]
+    tallies += [tally(f"GA{FOLLOWED}", seed, seed) for seed in range(1, 9)]
+    tallies += [tally(f"BSV{FOLLOWED}", seed, 10 + seed) for seed in range(1, 9)]
+    tallies += [tally("BSV", seed, 0) for seed in range(1, 9)]
     first, second = duels(tallies, "distinct")
     assert "14.5 against 4.5 distinct confirmed thresholds, A12 1.00 (large)" in first
     assert first.endswith("edge@2 finds more")
