@@ -40,6 +40,16 @@ def driving_options(driving: str, settings: Mapping[str, Any]) -> dict[str, Json
     return DrivingOption(system=driving, settings=settings).to_options()
 
 
+def about_driving(driving: str) -> str:
+    """Return what findings say of a driving system that is not Brink's own: a sentence, or nothing."""
+    if driving == OWN:
+        return ""
+    return (
+        f" {driving} drove. If it gets objects, Brink's localiser and tracker make them of the boxes, and are "
+        "part of what was tested."
+    )
+
+
 def wrong_driving(driving: str) -> list[tuple[str, str]]:
     """Return the errors in the parameter ``driving``, as pairs of a parameter's name and a message.
 

@@ -30,6 +30,7 @@ from brink.server.problems.base import (
 )
 from brink.server.problems.camera_settings import latency_setting, least_visible_setting, pitch_setting
 from brink.server.problems.driving_systems import (
+    about_driving,
     check_driving_settings,
     driving_options,
     driving_setting,
@@ -171,6 +172,7 @@ class NpcActions(SimulatedProblem):
         self._rule = participants_of(self.space)[1]
         self.needs = SIMULATORS[params.sight]
         self.timeout_s = params.timeout_s
+        self.about_component = (type(self).about_component + about_driving(params.driving)).strip()
         self.requirements = ORACLES if params.violation == "any" else (params.violation,)
         self.modules = () if params.sight == "oracle" else ("cv2", "onnxruntime")
 

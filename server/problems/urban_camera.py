@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 from brink.search.settings import setting
 from brink.search.space import SearchSpace
 from brink.server.problems.base import SimulatedProblem, Vectors, wrong_detector
-from brink.server.problems.driving_systems import wrong_driving
+from brink.server.problems.driving_systems import about_driving, wrong_driving
 from brink.server.problems.requirements import requirement_setting
 from brink.server.problems.urban_injected import (
     REQUIREMENTS,
@@ -61,6 +61,7 @@ class UrbanScenarios(SimulatedProblem):
         self.requirements = params.requirements
         self.needs = self.simulator
         self.timeout_s = params.timeout_s
+        self.about_component = (type(self).about_component + about_driving(params.driving)).strip()
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return errors in the name of the driving system."""

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final
 from brink.search.settings import setting
 from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.server.problems.base import BEHAVIOUR, MeasuredSeverity, Vectors
-from brink.server.problems.driving_systems import wrong_driving
+from brink.server.problems.driving_systems import about_driving, wrong_driving
 from brink.server.problems.error_slots import (
     NO_ERROR,
     SCENARIO,
@@ -142,6 +142,7 @@ class UrbanErrors(PerceptionErrors[DetectionError]):
         self.requirements = params.requirements
         self.needs = SIMULATOR
         self.timeout_s = params.timeout_s
+        self.about_component = (type(self).about_component + about_driving(params.driving)).strip()
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return errors in the name of the driving system."""

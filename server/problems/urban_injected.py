@@ -31,6 +31,7 @@ from brink.search.space import (
 from brink.server.problems.base import BEHAVIOUR, Activity, SeverityScale, SimulatedSolution, Vectors
 from brink.server.problems.camera_settings import latency_setting, least_visible_setting, pitch_setting
 from brink.server.problems.driving_systems import (
+    about_driving,
     check_driving_settings,
     driving_options,
     driving_setting,
@@ -229,6 +230,7 @@ class UrbanInjected(SlottedBehaviour):
         self.needs = SIMULATOR
         self._trajectories = _trajectories(self.space)
         self.timeout_s = params.timeout_s
+        self.about_component = (type(self).about_component + about_driving(params.driving)).strip()
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return errors in the name of the driving system."""

@@ -97,6 +97,14 @@ def test_wrong_decision_fails_for_good_and_says_what_was_expected() -> None:
     assert any("idm.py" in line for line in lines)
 
 
+def test_findings_say_whose_driving_system_drove() -> None:
+    own, idm = (make_problem("urban-errors@1", {"driving": name}) for name in ("modular@1", "idm:Idm"))
+    assert own.about_component == type(own).about_component
+    assert idm.about_component.startswith(own.about_component)
+    assert "idm:Idm drove. If it gets objects, Brink's localiser and tracker make them" in idm.about_component
+    assert make_problem("npc-actions@1", {}).about_component == ""
+
+
 @pytest.mark.parametrize(
     ("driving", "message"),
     [
