@@ -40,6 +40,17 @@ def driving_options(driving: str, settings: Mapping[str, Any]) -> dict[str, Json
     return DrivingOption(system=driving, settings=settings).to_options()
 
 
+def driving_params(params: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parameters that give another problem the same driving system; none for Brink's own.
+
+    Args:
+        params: Parameters of a problem, which may not be driven at all.
+    """
+    if params.get("driving", OWN) == OWN:
+        return {}
+    return {name: params[name] for name in ("driving", "driving_settings") if params.get(name)}
+
+
 def about_driving(driving: str) -> str:
     """Return what findings say of a driving system that is not Brink's own: a sentence, or nothing."""
     if driving == OWN:

@@ -15,6 +15,7 @@ from brink.server.findings.tolerances.analysis import find_tolerance
 from brink.server.findings.tolerances.views import CellView, ToleranceView, Tolerated
 from brink.server.findings.words import counted
 from brink.server.problems.catalogue import ODD, make_problem, problem_type
+from brink.server.problems.driving_systems import driving_params
 
 SIMULATIONS: Final = 2_000
 """Enough for twelve cells under one condition."""
@@ -247,9 +248,13 @@ def _search(campaign: Campaign, errors_problem: str) -> Step:
     names = make_problem(errors_problem, {}).space.column_names()
     limits = {name: one for name, one in campaign.body.problem.params.get(ODD, {}).items() if name in names}
     odd = {ODD: limits} if limits else {}
+    driving = driving_params(campaign.body.problem.params)
     body = {
         "name": f"{campaign.body.name[:180]}: tolerances",
-        "problem": {"id": errors_problem, "params": {"errors": 1, "requirement": requirement} | odd},
+        "problem": {
+            "id": errors_problem,
+            "params": {"errors": 1, "requirement": requirement} | odd | driving,
+        },
         "algorithm": {
             "id": Tolerance.id,
             "params": {"cells": dict(problem_type(errors_problem).usual_cells)},
