@@ -11,7 +11,7 @@ Source: ours; docs/explanation/thresholds.md.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -75,6 +75,32 @@ class Line:
         above = unsafe[unsafe > low]
         high = float(above.min()) if above.size else last
         return (sign * low, sign * high) if low < high else self.ends
+
+    def parts(self) -> list["Line"]:
+        """Return the part around each change of the verdict, which ends where the verdict changes again.
+
+        Only of use where chance has no part in verdicts.
+        """
+        changes = np.flatnonzero(self.unsafe[1:] != self.unsafe[:-1]) + 1
+        borders = [0, *changes.tolist(), len(self.values)]
+        parts = []
+        for first, change, last in zip(borders, borders[1:], borders[2:], strict=False):
+            rises = bool(self.unsafe[change])
+            beyond = last if rises else first - 1
+            parts.append(
+                replace(
+                    self,
+                    places=self.places[first:last],
+                    values=self.values[first:last],
+                    own=self.own[first:last],
+                    unsafe=self.unsafe[first:last],
+                    rises=rises,
+                    safe_beyond=float(self.values[beyond])
+                    if 0 <= beyond < len(self.values)
+                    else self.safe_beyond,
+                )
+            )
+        return parts
 
     def turns_back(self) -> float | None:
         """Return the value from which solutions beyond the unsafe ones are safe again; None if there is none.

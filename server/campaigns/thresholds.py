@@ -130,7 +130,7 @@ def find_thresholds(
     """
     if plan.problem.ignores_seeds:
         lines = find_lines(archive, plan.problem.space, own, fewest=FEWEST_PLACES)
-        bisected = [_bisected(archive, plan, line) for line in lines[:MOST_LINES]]
+        bisected = [_bisected(archive, plan, part) for line in lines[:MOST_LINES] for part in line.parts()]
         found = [one for one in bisected if one.stretch <= _SHARP * one.resolution]
     else:
         lines = find_lines(archive, plan.problem.space, own)
@@ -207,18 +207,15 @@ def _estimated(archive: Archive, plan: Plan, line: Line, seed: int, *, ended: bo
 
 
 def _bisected(archive: Archive, plan: Plan, line: Line) -> Threshold:
-    """Return where a line turns if chance has no part in verdicts: between two of its solutions."""
+    """Return where a line with one turn turns if chance has no part in verdicts: between two of its solutions."""
     check_time()
     space, row = plan.problem.space, archive.vectors[int(line.places[-1])]
     resolutions, stated = space.resolutions(row)
     step = 1 if line.rises else -1
     values, unsafe = line.values[::step], line.unsafe[::step]
-    turns = np.flatnonzero(~unsafe[:-1] & unsafe[1:])
-    gaps = np.abs(values[turns + 1] - values[turns])
-    turn = int(turns[np.argmin(gaps)])
-    safe, violating = float(values[turn]), float(values[turn + 1])
+    turn = int(np.argmax(unsafe))
+    safe, violating = float(values[turn - 1]), float(values[turn])
     shares = np.array([0.0, 0.0, 1.0, 1.0])
-    back = values[turn + 1 :][~unsafe[turn + 1 :]]
     return Threshold(
         line=line,
         outcome=Outcome.THRESHOLD,
@@ -237,7 +234,7 @@ def _bisected(archive: Archive, plan: Plan, line: Line) -> Threshold:
         shares=Shares(
             values=np.array([values[0], safe, violating, values[-1]]), median=shares, low=shares, high=shares
         ),
-        safe_again=float(back[0]) if back.size else None,
+        safe_again=line.safe_beyond,
     )
 
 

@@ -137,3 +137,13 @@ def test_a_single_safe_solution_further_on_is_chance() -> None:
     gaps = np.arange(5.0, 100.0, 5.0)
     (line,) = lines_of(rows(gap=gaps.tolist()), (gaps > 30.0) & (gaps != 90.0))
     assert line.turns_back() is None
+
+
+def test_each_change_of_the_verdict_is_a_part_of_a_line() -> None:
+    vectors = rows(gap=[*GAPS, 90.0])
+    (line,) = lines_of(vectors, (vectors[:, GAP] > 25.0) & (vectors[:, GAP] < 65.0))
+    first, second = line.parts()
+    assert (first.values.tolist(), first.rises, first.safe_beyond) == (GAPS[:6], True, 70.0)
+    assert (second.values.tolist(), second.rises, second.safe_beyond) == ([*GAPS[2:], 90.0], False, 20.0)
+    assert first.places.tolist() == list(range(6))
+    assert second.unsafe.tolist() == [True] * 4 + [False] * 3
