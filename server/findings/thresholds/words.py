@@ -31,6 +31,8 @@ BLAMED: Final = {
 _ROUNDING: Final = 1e-9
 _MOST_LISTED: Final = 6
 """Most held values that are listed where the problem has no words for what is held."""
+_FEWEST_REPEATS: Final = 3
+"""Simulations of a solution from which on most of those with another seed say something."""
 _UNCERTAIN: Final = {
     Outcome.CHANCY: "chance decides, no value does",
     Outcome.OPEN: "more simulations would tell where it turns",
@@ -152,7 +154,27 @@ def _reason(found: CampaignThresholds, archive: Archive, problem: Problem, noun:
         told.append(f"chance decides on {counted(len(chancy), 'line')} ({counted(drives, noun)})")
     if open_ones := found.of(Outcome.OPEN):
         told.append(f"{counted(len(open_ones), 'line')} with too few simulations")
-    return " and ".join(told) or "no number was varied alone with enough episode seeds"
+    if told:
+        return " and ".join(told)
+    again, changed = _repeats(archive)
+    if again and not problem.ignores_seeds:
+        return f"of {counted(again, noun)} simulated again with other seeds, {changed:,} mostly had the other verdict"
+    return "no number was varied alone with enough episode seeds"
+
+
+def _repeats(archive: Archive) -> tuple[int, int]:
+    """Return how many solutions were simulated at least three times, and of how many most repeats differ.
+
+    A solution is simulated again only under another seed.
+    """
+    _, first, which, counts = np.unique(
+        archive.vectors, axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    which = which.reshape(-1)
+    differ = archive.unsafe != archive.unsafe[first[which]]
+    others = np.bincount(which, weights=differ, minlength=len(counts))
+    repeated = counts >= _FEWEST_REPEATS
+    return int(repeated.sum()), int((repeated & (2 * others > counts - 1)).sum())
 
 
 def untold(found: CampaignThresholds, archive: Archive, problem: Problem, noun: str) -> str:

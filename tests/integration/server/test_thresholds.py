@@ -2,11 +2,13 @@
 
 import csv
 import io
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from support.api import FakeWorker, ball, expect, finish, listening_coordinator
 from support.databases import Databases, module_on_sqlite
@@ -270,3 +272,18 @@ def test_a_resolution_that_the_problem_does_not_state_is_said_to_be_1_percent(
 ) -> None:
     [told] = [words for words in finding["caveats"] if "resolution" in words]
     assert told == "The problem states no resolution of where: x: 1% of the range counts as the same there"
+
+
+def test_where_chance_decides_the_finding_says_how_many_verdicts_changed(client: httpx.Client) -> None:
+    angles = np.linspace(0.1, 1.4, 8).tolist()
+    rows = [[0.97 * math.cos(angle), 0.97 * math.sin(angle)] for angle in angles for _ in range(4)]
+    campaign = run(client, sweep(rows))
+    solutions = expect(client.get(f"{API}/{campaign}/solutions?limit=100"))["solutions"]
+    by_row: dict[float, list[str]] = {}
+    for one in sorted(solutions, key=lambda one: one["number"]):
+        by_row.setdefault(one["parameters"]["where"]["x"], []).append(one["verdict"])
+    changed = sum(sum(one != first for one in others) >= 2 for first, *others in by_row.values())
+    assert (len(by_row), changed > 0) == (8, True)
+    sentence = expect(client.get(f"{API}/{campaign}/findings/thresholds"))["sentence"]
+    assert sentence.startswith("no threshold: of 8 ")
+    assert sentence.endswith(f" simulated again with other seeds, {changed} mostly had the other verdict")
