@@ -54,7 +54,7 @@ def restored_state(ledger: Ledger, config: ThresholdConfig, document: Document) 
         _check("hunts", {hunt.seed}, set(range(ledger.spent + ledger.in_flight)))
         _check("hunts", {*hunt.moved} | ({hunt.unit} - {-1}), set(range(len(parts.units))))
         _check("hunts", set(hunt.needed), set(range(len(parts.blocks))))
-    limits = {Purpose.DROP: len(parts.blocks)} | dict.fromkeys(
+    limits = {Purpose.DROP: len(parts.blocks), Purpose.CHECK: 2} | dict.fromkeys(
         (Purpose.MOVE, Purpose.APPROACH), len(parts.units)
     )
     for job in jobs:
@@ -75,6 +75,7 @@ def _hunt(stored: dict[str, Any]) -> Hunt:
         seed=int(stored["seed"]),
         held=int(stored["held"]),
         stage=Stage(stored["stage"]),
+        from_safe=bool(stored["from_safe"]),
         window=bool(stored["window"]),
         told=tuple((int(Purpose(a)), int(b), int(c)) for a, b, c in stored["told"]),
         **values,

@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -11,7 +12,9 @@ import numpy as np
 from brink.search.algorithms.ledger import Ledger, row_keys
 from brink.search.algorithms.thresholds.parts import Kind, Parts, free_columns
 from brink.search.algorithms.thresholds.stages import (
-    COARSE,
+    APART,
+    CHECKS,
+    OTHER_CHECKS,
     estimate_of,
     far_row,
     line_of,
@@ -40,18 +43,24 @@ FIRST_BATCH: Final = 8
 """Trials with which the estimation of a threshold begins."""
 BATCH: Final = 6
 """Trials of a threshold in flight at a time after that."""
-BEFORE_BRACKET: Final = 4
-"""Simulations that a hunt is expected to take before its bracket is narrowed."""
-USUAL_TRIALS: Final = 0.8
+BEFORE_LINE: Final = {Stage.SCREEN: 8.0, Stage.REDUCE: 6.0, Stage.MOVE: 4.0}
+"""Simulations that a hunt is expected to take before its unit is known, by stage."""
+_ON_LINE: Final = 6
+"""Simulations of a line before its curve is estimated, besides those that count for the curve."""
+USUAL_TRIALS: Final = 0.7
 """Share of the most trials that a threshold is expected to take."""
 FEWEST_EXPLORED: Final = 30
 """Random solutions before the surrogate proposes any."""
 _DRAWS: Final = 12
 """Values drawn of each unit that may be moved, besides the ends of its range."""
-_BEFORE_LOST: Final = 5
-"""Hunts that count as not ended by a scenario that is unsafe alone, before there are results."""
 _OPPOSITES: Final = 20
 """Nearest safe solutions of which one is approached."""
+_MOST_PAIRED: Final = 400
+"""Latest solutions of each verdict among which hunts may begin, where chance has no part."""
+_PARTNERS: Final = 5
+"""Nearest solutions of the other verdict that hunts may begin between, where chance has no part."""
+_SPARE_PROPOSALS: Final = 3
+"""Proposals for each one that is simulated, of which those come last whose scenario may be unsafe alone."""
 _COMMON: Final = 0.3
 """Share of unsafe solutions from which on random exploration finds enough of them."""
 _PREFERRED: Final = 0.25
@@ -100,10 +109,7 @@ def planned(state: ThresholdState) -> ThresholdState:
 
 
 def with_surrogate(state: ThresholdState) -> ThresholdState:
-    """Return the state with an up-to-date surrogate, which is refitted whenever there are 10% more solutions.
-
-    Solutions that are unsafe without any error count as safe: there is nothing to look for near them.
-    """
+    """Return the state with an up-to-date surrogate, which is refitted whenever there are 10% more solutions."""
     archive, known = state.ledger.archive, state.ledger.known
     size = learning_size(len(known) + len(archive), one_in=10)
     if size < FEWEST_EXPLORED or (state.surrogate is not None and state.surrogate.size == size):
@@ -111,14 +117,9 @@ def with_surrogate(state: ThresholdState) -> ThresholdState:
     rows = np.concatenate([known.rows, archive.vectors])[:size]
     robustness = np.concatenate([known.robustness, archive.robustness])[:size]
     unsafe = np.concatenate([known.unsafe, archive.unsafe])[:size]
-    numbers = np.concatenate([-1 - np.arange(len(known)), archive.numbers])[:size]
-    # Only what these solutions tell, so that a restored search fits the same.
-    last = int(numbers[-1])
-    alone = [hunt for hunt in state.hunts if hunt.stage is Stage.ALONE and hunt.held <= last]
-    wanted = unsafe & ~np.isin(numbers, [number for hunt in alone for number in (hunt.anchor, hunt.held)])
     rng = generator(state.ledger.seed, Stream.THRESHOLDS, Draw.SURROGATE, size)
     seed = int(rng.integers(2**32, dtype=np.uint64))
-    fitted = RobustnessSurrogate(state.ledger.space, rows, robustness, wanted, seed=seed)
+    fitted = RobustnessSurrogate(state.ledger.space, rows, robustness, unsafe, seed=seed)
     return replace(state, surrogate=fitted)
 
 
@@ -146,12 +147,8 @@ class _Planner:
         If the budget does not suffice for all, those that are farthest from it wait.
         """
         waiting = Counter(job.hunt for job in self.state.jobs if job.purpose is not Purpose.EXPLORE)
-        full, left = self._usual_cost(), self.state.ledger.left + waiting.total()
-        costs = {
-            place: max(full - self._simulations(hunt), 1.0)
-            for place, hunt in enumerate(self.state.hunts)
-            if hunt.stage in OPEN
-        }
+        left = self.state.ledger.left + waiting.total()
+        costs = {place: self._cost(hunt) for place, hunt in enumerate(self.state.hunts) if hunt.stage in OPEN}
         for place in sorted(costs, key=lambda place: (costs[place], place)):
             left -= costs[place]
             if not self._plan.room or (left < 0 and (self._plan.rows or waiting)):
@@ -164,33 +161,57 @@ class _Planner:
         parts, simulated, held = self._parts, self._simulated, self._simulated.row(hunt.held)
         active = parts.active(held)
         seed: int | None = hunt.seed
+        fresh: list[tuple[FloatArray, Job]] = []
         rows: list[tuple[FloatArray | None, Job]] = []
         match hunt.stage:
-            case Stage.SCREEN | Stage.REDUCE:
-                if hunt.stage is Stage.SCREEN:
-                    rows = [(parts.without(held, active), Job(Purpose.SCREEN, place))]
+            case Stage.SCREEN:
+                rows = [(parts.without(held, active), Job(Purpose.SCREEN, place))]
+                instead = Stage.REDUCE
+            case Stage.REDUCE:
                 left = [block for block in active if block not in hunt.needed] if len(active) > 1 else []
-                rows += [(parts.without(held, [block]), Job(Purpose.DROP, place, block)) for block in left]
+                rows = [(parts.without(held, [block]), Job(Purpose.DROP, place, block)) for block in left]
                 instead = Stage.MOVE
             case Stage.MOVE:
                 self._move(place, hunt)
                 return
             case Stage.SPAN | Stage.BRACKET:
-                if hunt.stage is Stage.SPAN:
-                    rows = [(far_row(hunt, parts, simulated), Job(Purpose.FAR, place))]
                 probes = probe_rows(hunt, parts, simulated, self.state.config)
-                rows += [(row, Job(Purpose.PROBE, place)) for row in probes]
+                rows = [(row, Job(Purpose.PROBE, place)) for row in probes]
+                if hunt.stage is Stage.SPAN and self.state.config.trials:
+                    rows.append((far_row(hunt, parts, simulated), Job(Purpose.FAR, place)))
+                    fresh = self._checks(place, hunt)
                 instead = Stage.ESTIMATE if self.state.config.trials else Stage.THRESHOLD
             case _:
                 rows = [(row, Job(Purpose.TRIAL, place)) for row in self._trials(place, hunt)]
                 seed, instead = None, Stage.GIVEN_UP
         valid = [(row, job) for row, job in rows if row is not None]
-        if len(valid) > self._plan.room and self._plan.rows:
-            return
-        for row, job in valid[: self._plan.room]:
-            self._plan.add(row, seed, job)
-        if not valid:
+        self._add(valid, fresh, seed)
+        if not valid and not fresh:
             self._replace(place, replace(hunt, stage=instead))
+
+    def _add(
+        self,
+        rows: Sequence[tuple[FloatArray, Job]],
+        fresh: Sequence[tuple[FloatArray, Job]],
+        seed: int | None,
+    ) -> None:
+        """Add all candidates of a stage, if they fit: those of a seed, and those with seeds of their own."""
+        if len(rows) + len(fresh) > self._plan.room and self._plan.rows:
+            return
+        for (row, job), number in [*((one, seed) for one in rows), *((one, None) for one in fresh)]:
+            if self._plan.room:
+                self._plan.add(row, number, job)
+
+    def _checks(self, place: int, hunt: Hunt) -> list[tuple[FloatArray, Job]]:
+        """Return the simulations with fresh seeds of both ends of a hunt's line, or of what it holds without one."""
+        if not self.state.config.trials:
+            return []
+        row, job = self._simulated.row, Job(Purpose.CHECK, place, int(not hunt.from_safe))
+        checks = [] if hunt.trials else [(row(hunt.held), job)] * CHECKS
+        if hunt.unit < 0:
+            return checks
+        other = hunt.end if hunt.from_safe else hunt.start
+        return checks + [(row(other), job._replace(subject=1 - job.subject))] * OTHER_CHECKS
 
     def _replace(self, place: int, hunt: Hunt) -> None:
         hunts = list(self.state.hunts)
@@ -204,21 +225,24 @@ class _Planner:
             found = estimate_of(self.state, hunt, self._parts, self._simulated)
             self.state = replace(self.state, estimates={**self.state.estimates, place: found})
         rng = self._rng(Draw.PLACES, hunt.held, hunt.unit, self._generation)
-        count = min(BATCH if hunt.trials else FIRST_BATCH, self.state.config.trials - len(hunt.trials))
+        count = min(
+            FIRST_BATCH if len(hunt.trials) <= CHECKS + OTHER_CHECKS else BATCH,
+            self.state.config.trials - len(hunt.trials),
+        )
         places = next_places(prior_of(hunt, line, self._simulated), found, count, rng)
         rows = [line.at(share) for share in places]
         return [line.end if row is None else row for row in rows]
 
     def _move(self, place: int, hunt: Hunt) -> None:
-        """Plan the move of one unit that most probably makes a hunt's solution safe, rare kinds first.
+        """Plan moves, each of one unit, that most probably change the verdict of a hunt's solution, rare kinds first.
 
-        Where no single move is likely to, the solution approaches the nearest safe one, one unit after the other.
+        Where no single move is likely to, the solution approaches one of the other verdict, unit by unit.
         """
         held = self._simulated.row(hunt.held)
         units = [unit for unit in self._parts.movable(held) if unit not in hunt.moved]
         rng = self._rng(Draw.MOVE, hunt.held, hunt.seed, len(hunt.moved))
         moves = [(unit, row) for unit in units for row in self._moved_rows(held, unit, rng)]
-        safety = self._safety([row for _, row in moves])
+        safety = self._safety([row for _, row in moves]) * (-1.0 if hunt.from_safe else 1.0)
         if not moves or safety.max() < 0.0 or hunt.opposite >= 0:
             if self._approach(place, hunt, held):
                 return
@@ -229,13 +253,24 @@ class _Planner:
             (times[self._parts.kind(held, unit)] if safe >= _PREFERRED else np.inf, -safe)
             for (unit, _), safe in zip(moves, safety.tolist(), strict=False)
         ]
+        chosen: dict[int, FloatArray] = {}
         for index in sorted(range(len(moves)), key=lambda index: (ranks[index], index)):
             unit = moves[index][0]
+            if unit in chosen or len(chosen) >= self._at_a_time(hunt):
+                continue
             row = valid_change(self._space, held, moves[index][1], self._parts.units[unit])
             if row is not None and self._is_other(row, held, unit):
-                self._plan.add(row, hunt.seed, Job(Purpose.MOVE, place, unit))
-                return
-        self._replace(place, replace(hunt, stage=Stage.FIXED))
+                chosen[unit] = row
+        if chosen:
+            rows = [(row, Job(Purpose.MOVE, place, unit)) for unit, row in chosen.items()]
+            self._add(rows, self._checks(place, hunt), hunt.seed)
+        else:
+            self._replace(place, replace(hunt, stage=Stage.FIXED))
+
+    def _at_a_time(self, hunt: Hunt) -> int:
+        """Return how many units of a hunt may be moved next; in a space of categories, one."""
+        config = self.state.config
+        return min(config.units, config.moves - len(hunt.moved)) if self._parts.numeric else 1
 
     def _safety(self, rows: Sequence[FloatArray]) -> FloatArray:
         """Return the estimated ranks of robustness, 0 without a surrogate, shape ``(n,)``."""
@@ -244,9 +279,9 @@ class _Planner:
         return self.state.surrogate.predict(np.array(rows))[0]
 
     def _approach(self, place: int, hunt: Hunt, held: FloatArray) -> bool:
-        """Plan to set one unit to its value in a safe solution; return whether there is one."""
+        """Plan to set one unit to its value in a solution of the other verdict; return whether there is one."""
         if hunt.opposite < 0:
-            hunt = replace(hunt, opposite=self._nearest_safe(held))
+            hunt = replace(hunt, opposite=self._nearest_other(held, unsafe=hunt.from_safe))
             self._replace(place, hunt)
         if hunt.opposite < 0:
             return False
@@ -260,18 +295,19 @@ class _Planner:
                 moves.append((index, changed))
         if not moves:
             return False
-        unit_index, row = moves[int(np.argmax(self._safety([row for _, row in moves])))]
-        self._plan.add(row, hunt.seed, Job(Purpose.APPROACH, place, unit_index))
+        safety = self._safety([row for _, row in moves])
+        unit_index, row = moves[int(np.argmin(safety) if hunt.from_safe else np.argmax(safety))]
+        self._add([(row, Job(Purpose.APPROACH, place, unit_index))], [], hunt.seed)
         return True
 
-    def _nearest_safe(self, held: FloatArray) -> int:
-        """Return the number of a safe solution of the same categories, -1 for none.
+    def _nearest_other(self, held: FloatArray, *, unsafe: bool) -> int:
+        """Return the number of a solution of a verdict and the same categories, -1 for none.
 
         Of the nearest ones, it is the one that lies farthest from where other hunts are, so that thresholds spread.
         """
         archive, categorical = self.state.ledger.archive, self._space.categorical
         same = (archive.vectors[:, categorical] == held[categorical]).all(axis=1)
-        places = np.flatnonzero(same & ~archive.unsafe)
+        places = np.flatnonzero(same & (archive.unsafe == unsafe))
         if not places.size:
             return -1
         metric, rows = Metric.of_space(self._space), archive.vectors[places]
@@ -308,30 +344,67 @@ class _Planner:
     def _kinds(self) -> Iterable[Kind]:
         """Yield the kind of each hunt whose unit is known and that found, or may find, a threshold."""
         for hunt in self.state.hunts:
-            if hunt.unit >= 0 and hunt.stage not in (Stage.CHANCY, Stage.GIVEN_UP):
+            if hunt.unit >= 0 and hunt.stage not in (Stage.CHANCY, Stage.GIVEN_UP, Stage.READY):
                 yield self._parts.kind(self._simulated.row(hunt.held), hunt.unit)
 
     def begin_hunts(self) -> None:
-        """Begin hunts near unsafe solutions of rare kinds, as far as the budget suffices for all open ones."""
+        """Begin hunts of rare kinds, lines that wait and anchors, as far as the budget suffices for all open ones."""
         affordable = self._affordable()
         if affordable < 1:
             return
         exploring = self._explored() < self._to_explore()
-        options = self._options()
-        contents = [self._content(hunt.held) for hunt in options]
-        times, apart = self._block_times(), self._distances(options)
+        ready = [place for place, hunt in enumerate(self.state.hunts) if hunt.stage is Stage.READY]
+        options: list[tuple[Hunt, int | None]] = [(self.state.hunts[place], place) for place in ready]
+        options += [(hunt, None) for hunt in self._options(len(ready))]
+        times, kinds = self._block_times(), Counter(self._kinds())
+        contents = [self._content(hunt.held) if place is None else {} for hunt, place in options]
+        apart = self._distances([hunt for hunt, _ in options])
+
+        promise = {from_safe: self._promise(from_safe=from_safe) for from_safe in (False, True)}
+
+        def rarity(index: int) -> int:
+            hunt = options[index][0]
+            if hunt.unit >= 0:
+                return kinds[self._parts.kind(self._simulated.row(hunt.held), hunt.unit)]
+            return min((times[kind] for kind in contents[index]), default=0)
+
+        def rank(index: int) -> tuple[float, float, int]:
+            hunt, waiting = options[index]
+            likely = 1.0 if waiting is not None else promise[hunt.from_safe]
+            return (1 + rarity(index)) / likely, self._length(hunt) - apart[index], index
+
         while options and self._plan.room and affordable >= 1:
-            rarest = [min((times[kind] for kind in content), default=0) for content in contents]
-            best = min(range(len(options)), key=lambda index: (rarest[index], -apart[index], index))
-            if exploring and rarest[best] > 0:
+            best = min(range(len(options)), key=rank)
+            if exploring and rarity(best) > 0:
                 break
-            hunt, content = options.pop(best), contents.pop(best)
-            place = len(self.state.hunts)
-            self.state = replace(self.state, hunts=(*self.state.hunts, hunt))
+            (hunt, waiting), content = options.pop(best), contents.pop(best)
+            place = len(self.state.hunts) if waiting is None else waiting
+            if waiting is None:
+                self.state = replace(self.state, hunts=(*self.state.hunts, hunt))
+                times.update(content)
+            else:
+                hunt = replace(hunt, stage=Stage.SPAN)
+                self._replace(place, hunt)
+                kinds.update([self._parts.kind(self._simulated.row(hunt.held), hunt.unit)])
             self._continue(place, hunt)
-            times.update(content)
-            apart = np.minimum(np.delete(apart, best), self._distances(options, [hunt]))
+            apart = np.minimum(np.delete(apart, best), self._distances([one for one, _ in options], [hunt]))
             affordable -= 1
+            if not self.state.config.trials and self._parts.numeric:
+                kept = [index for index, distance in enumerate(apart.tolist()) if distance >= APART]
+                options, contents, apart = (
+                    [options[k] for k in kept],
+                    [contents[k] for k in kept],
+                    apart[kept],
+                )
+
+    def _promise(self, *, from_safe: bool) -> float:
+        """Return the share of hunts, of those from safe or from unsafe solutions, whose unit was found."""
+        mine = [
+            hunt.unit
+            for hunt in self.state.hunts
+            if hunt.from_safe == from_safe and hunt.stage not in BEFORE_LINE
+        ]
+        return (1.0 + sum(unit >= 0 for unit in mine)) / (2.0 + len(mine))
 
     def _explored(self) -> int:
         """Return how many solutions were explored, or are about to be."""
@@ -345,65 +418,134 @@ class _Planner:
     def _affordable(self) -> float:
         """Return how many more hunts the budget suffices for."""
         left = self.state.ledger.left - len(self._plan.rows) - self._reserved()
-        return left / self._usual_cost()
+        return left / self._cost(None)
 
     def _reserved(self) -> float:
         """Return how many simulations the open hunts are expected to take, besides those in flight or planned."""
         jobs = (*self.state.jobs, *self._plan.jobs)
         asked = sum(job.purpose is not Purpose.EXPLORE for job in jobs)
-        full = self._usual_cost()
-        needed = sum(max(full - self._simulations(h), 1.0) for h in self.state.hunts if h.stage in OPEN)
-        begun = [hunt.stage for hunt in self.state.hunts if hunt.stage is not Stage.SCREEN]
-        lost = begun.count(Stage.ALONE) / (_BEFORE_LOST + len(begun))
-        needed -= lost * full * sum(hunt.stage is Stage.SCREEN for hunt in self.state.hunts)
-        return max(needed - asked, 0.0)
+        return max(sum(self._cost(hunt) for hunt in self.state.hunts if hunt.stage in OPEN) - asked, 0.0)
 
-    def _usual_cost(self) -> float:
-        """Return how many simulations a hunt is expected to take."""
+    def _cost(self, hunt: Hunt | None) -> float:
+        """Return how many simulations a hunt is still expected to take; None for one that begins.
+
+        Those of its line count by the share of the hunts that have come so far.
+        """
+        stage = hunt.stage if hunt else Stage.SCREEN if self._parts.blocks else Stage.MOVE
+        before = BEFORE_LINE.get(stage, 0)
+        if stage not in (Stage.SPAN, Stage.BRACKET, Stage.ESTIMATE):
+            screened, bracketed = self._shares
+            likely = bracketed * (screened if stage is Stage.SCREEN else 1.0)
+            return before + likely * (_ON_LINE + self._line_cost)
+        assert hunt
         if self.state.config.trials:
-            return BEFORE_BRACKET - math.log2(COARSE) + USUAL_TRIALS * self.state.config.trials
-        row = self._simulated.row(int(self.state.archive.numbers[0])) if len(self.state.archive) else None
-        if row is None or not self._parts.numeric:
-            return BEFORE_BRACKET
-        columns = [column for unit in self._parts.numeric for column in self._parts.units[unit]]
-        finest = (self._space.resolutions(row)[0] / self._space.ranges)[columns].min()
-        return BEFORE_BRACKET + math.log2(max(1.0 / finest, 1.0))
-
-    def _simulations(self, hunt: Hunt) -> float:
-        """Return how many of the usual simulations of a hunt are done."""
-        if hunt.stage < Stage.BRACKET:
-            return float(hunt.stage)
+            on_line = {Stage.SPAN: _ON_LINE, Stage.BRACKET: BATCH}.get(stage, 0)
+            return max(on_line + self._line_cost - len(hunt.trials), 3.0)
         line = line_of(hunt, self._parts, self._simulated)
         safe, unsafe = (line.place_of(self._simulated.row(number)) for number in (hunt.safe, hunt.unsafe))
-        return BEFORE_BRACKET + max(math.log2(line.range / (unsafe - safe)), 0.0) + len(hunt.trials)
+        return math.ceil(math.log2(max((unsafe - safe) / line.resolution, 2.0)))
 
-    def _options(self) -> list[Hunt]:
-        """Return hunts that may begin: near unsafe solutions, otherwise along further units of earlier ones."""
+    @cached_property
+    def _shares(self) -> tuple[float, float]:
+        """The shares of hunts that go on after their screen, and of those of which a line is then bracketed.
+
+        Apart, because hunts that end at their screen are known long before the others.
+        """
+        hunts = [hunt for hunt in self.state.hunts if hunt.stage is not Stage.SCREEN]
+        on = [hunt for hunt in hunts if hunt.stage is not Stage.ALONE]
+        ended = [hunt.unit >= 0 for hunt in on if hunt.stage not in BEFORE_LINE]
+        return (3.0 + len(on)) / (4.0 + len(hunts)), (3.0 + sum(ended)) / (4.0 + len(ended))
+
+    @cached_property
+    def _line_cost(self) -> float:
+        """The number of simulations that the estimation of a line, or its bisection, is expected to take."""
+        if self.state.config.trials:
+            return USUAL_TRIALS * self.state.config.trials
+        if not len(self.state.archive) or not self._parts.numeric:
+            return 0.0
+        row = self._simulated.row(int(self.state.archive.numbers[0]))
+        columns = [column for unit in self._parts.numeric for column in self._parts.units[unit]]
+        finest = (self._space.resolutions(row)[0] / self._space.ranges)[columns].min()
+        return math.log2(max(1.0 / finest, 1.0))
+
+    def _options(self, ready: int) -> list[Hunt]:
+        """Return hunts that may begin: near unsafe solutions, otherwise along further units of earlier ones.
+
+        Args:
+            ready: Number of lines that wait; only without any, further units are moved.
+        """
+        if not self.state.config.trials and self._parts.numeric:
+            return self._pairs()
         anchors = {hunt.anchor for hunt in self.state.hunts}
-        archive = self.state.ledger.archive
-        unsafe = dict(
-            zip(row_keys(archive.vectors), archive.unsafe.tolist(), strict=True)
-        )  # the last verdict on each
-        fresh = []
-        for number in self.state.explored:
-            if number in anchors or not self._simulated.unsafe(number):
-                continue
-            hunt = self._first(number, unsafe)
-            if hunt is not None:
-                fresh.append(hunt)
-        return fresh or self._further() or self._alone()
+        numbers = [number for number in self.state.explored if number not in anchors]
+        if self._parts.blocks:
+            fresh = self._screened(numbers)
+        else:
+            unsafe = (number for number in numbers if self._simulated.unsafe(number))
+            fresh = [Hunt(anchor=one, seed=one, held=one, stage=Stage.MOVE) for one in unsafe]
+        return fresh if fresh or ready else self._further() or self._alone()
 
-    def _first(self, number: int, unsafe: dict[bytes, bool]) -> Hunt | None:
-        """Return the hunt that begins at an explored solution; None if its scenario is known to be unsafe alone."""
-        row = self._simulated.row(number)
-        hunt = Hunt(anchor=number, seed=number, held=number, stage=Stage.MOVE)
-        if not self._parts.blocks:
-            return hunt
-        active = self._parts.active(row)
-        alone = self._parts.without(row, active)
-        if not active or (alone is not None and unsafe.get(alone.tobytes(), False)):
-            return None
-        return replace(hunt, stage=Stage.SCREEN)
+    def _pairs(self) -> list[Hunt]:
+        """Return hunts between solutions and the nearest ones of the other verdict and the same categories.
+
+        Where chance has no part, a threshold costs a bisection, and any two solutions of both verdicts lead to one.
+        What lies close to an earlier one is left out.
+        """
+        simulated, metric = self._simulated, Metric.of_space(self._space)
+        archive = self.state.ledger.archive
+        by_verdict = [archive.numbers[archive.unsafe == verdict][-_MOST_PAIRED:] for verdict in (False, True)]
+        safe, unsafe = by_verdict
+        if not safe.size or not unsafe.size:
+            return []
+        rows = [np.array([simulated.row(number) for number in numbers.tolist()]) for numbers in by_verdict]
+        categories = [some[:, self._space.categorical] for some in rows]
+        is_other = (categories[1][:, None] != categories[0][None]).any(axis=2)
+        distances = np.where(is_other, np.inf, metric.between(rows[1], rows[0]))
+        begun = {(hunt.anchor, hunt.opposite) for hunt in self.state.hunts}
+        near = {
+            (int(unsafe[i]), int(safe[j]))
+            for order, of_safe in (
+                (np.argsort(distances, axis=1, kind="stable"), False),
+                (np.argsort(distances.T, axis=1, kind="stable"), True),
+            )
+            for one in range(len(order))
+            for other in order[one, :_PARTNERS].tolist()
+            for i, j in [(other, one) if of_safe else (one, other)]
+            if np.isfinite(distances[i, j])
+        }
+        hunts = [
+            Hunt(anchor=anchor, seed=anchor, held=anchor, stage=Stage.MOVE, opposite=opposite)
+            for anchor, opposite in sorted(near - begun)
+        ]
+        apart = self._distances(hunts)
+        return [hunt for hunt, distance in zip(hunts, apart.tolist(), strict=True) if distance >= APART]
+
+    def _has_options(self) -> bool:
+        ready = sum(hunt.stage is Stage.READY for hunt in self.state.hunts)
+        return bool(ready or self._options(ready))
+
+    def _screened(self, numbers: Sequence[int]) -> list[Hunt]:
+        """Return hunts that may begin at explored solutions with active blocks, if these may decide.
+
+        Most safe solutions are safe alone, so of those only the ones begin that are believed or known not to be.
+        """
+        archive, simulated, parts = self.state.ledger.archive, self._simulated, self._parts
+        verdicts = dict(
+            zip(row_keys(archive.vectors), archive.unsafe.tolist(), strict=True)
+        )  # the last on each
+        active = {number: parts.active(simulated.row(number)) for number in numbers}
+        alone = {n: parts.without(simulated.row(n), blocks) for n, blocks in active.items() if blocks}
+        rows = {number: row for number, row in alone.items() if row is not None}
+        believed = self._safety(list(rows.values())) < 0.0
+        hunts = []
+        for (number, row), guess in zip(rows.items(), believed.tolist(), strict=True):
+            is_safe = not simulated.unsafe(number)
+            alone_unsafe = verdicts.get(row.tobytes(), guess if is_safe else False)
+            if alone_unsafe == is_safe:
+                hunts.append(
+                    Hunt(anchor=number, seed=number, held=number, stage=Stage.SCREEN, from_safe=is_safe)
+                )
+        return hunts
 
     def _further(self) -> list[Hunt]:
         """Return hunts along further units of solutions near which a threshold was found."""
@@ -428,7 +570,8 @@ class _Planner:
     def _alone(self) -> list[Hunt]:
         """Return hunts along the numbers of scenarios that are unsafe without any error."""
         begun = {hunt.held for hunt in self.state.hunts if hunt.stage is not Stage.ALONE}
-        unsafe = {hunt.held: hunt.seed for hunt in self.state.hunts if hunt.stage is Stage.ALONE}
+        alone = [hunt for hunt in self.state.hunts if hunt.stage is Stage.ALONE and not hunt.from_safe]
+        unsafe = {hunt.held: hunt.seed for hunt in alone}
         if self._parts.blocks:
             simulated = self._simulated
             unsafe |= {
@@ -455,15 +598,27 @@ class _Planner:
                 times.update(self._content(hunt.held))
         return times
 
+    def _place(self, hunt: Hunt) -> FloatArray:
+        """Return where a hunt's threshold is to be expected, shape ``(d,)``."""
+        if hunt.unsafe >= 0:
+            return self._simulated.row(hunt.unsafe)
+        held = self._simulated.row(hunt.held)
+        return held if hunt.opposite < 0 else 0.5 * (held + self._simulated.row(hunt.opposite))
+
+    def _length(self, hunt: Hunt) -> float:
+        """Return how far a hunt's threshold may be from where it is expected; 0 without an opposite."""
+        if hunt.opposite < 0 or hunt.unsafe >= 0:
+            return 0.0
+        rows = [self._simulated.row(number)[None] for number in (hunt.held, hunt.opposite)]
+        return 0.5 * float(Metric.of_space(self._space).between(*rows)[0, 0])
+
     def _distances(self, hunts: Sequence[Hunt], others: Sequence[Hunt] | None = None) -> FloatArray:
-        """Return the distance of each hunt's solution to the nearest of the others, all earlier ones by default."""
+        """Return the distance of each hunt to the nearest of the others, all earlier ones by default."""
         if others is None:
-            others = [hunt for hunt in self.state.hunts if hunt.stage is not Stage.ALONE]
+            others = [hunt for hunt in self.state.hunts if hunt.stage not in (Stage.ALONE, Stage.REPEATED)]
         if not hunts or not others:
             return np.full(len(hunts), np.inf)
-        rows, earlier = (
-            np.array([self._simulated.row(hunt.held) for hunt in some]) for some in (hunts, others)
-        )
+        rows, earlier = (np.array([self._place(hunt) for hunt in some]) for some in (hunts, others))
         return np.asarray(Metric.of_space(self._space).between(rows, earlier).min(axis=1))
 
     def explore(self) -> None:
@@ -474,7 +629,7 @@ class _Planner:
         plan, state = self._plan, self.state
         wanted = max(self._to_explore() - self._explored(), 0)
         if any(hunt.stage in OPEN for hunt in state.hunts):
-            spare = state.ledger.left - len(plan.rows) - self._reserved() if not self._options() else 0.0
+            spare = state.ledger.left - len(plan.rows) - self._reserved() if not self._has_options() else 0.0
             plan.wanted = len(plan.rows) + min(plan.room, max(wanted, math.floor(max(spare, 0.0))))
         if not plan.rows and not state.ledger.flight:
             plan.wanted = max(plan.wanted, min(state.config.generation_size, int(state.ledger.left)))
@@ -492,14 +647,22 @@ class _Planner:
         if count <= 0 or not free_columns(self._space).any():
             return []
         archive, known = self.state.ledger.archive, self.state.ledger.known
-        alone = [hunt.anchor for hunt in self.state.hunts if hunt.stage is Stage.ALONE]
+        alone = [hunt.anchor for hunt in self.state.hunts if hunt.stage is Stage.ALONE and not hunt.from_safe]
         rows = np.concatenate([known.rows, archive.vectors])
         robustness = np.concatenate([known.robustness, archive.robustness])
         wanted = np.concatenate([known.unsafe, archive.unsafe & ~np.isin(archive.numbers, alone)])
         explored = [self._simulated.unsafe(number) for number in self.state.explored]
         if np.mean([*known.unsafe.tolist(), *explored] or [False]) >= _COMMON:
             return []
-        proposed = proposed_rows(self._space, surrogate, rows, robustness, wanted, count, rng)
+        more = _SPARE_PROPOSALS if self._parts.blocks else 1
+        proposed = proposed_rows(self._space, surrogate, rows, robustness, wanted, more * count, rng)
+        if self._parts.blocks:
+            # Where the scenario alone is believed to be unsafe, nothing is to be learnt of errors.
+            without = [self._parts.without(row, self._parts.active(row)) for row in proposed]
+            safety = self._safety(
+                [row if one is None else one for row, one in zip(proposed, without, strict=True)]
+            )
+            proposed = proposed[np.argsort(safety < 0.0, kind="stable")][:count]
         planned_keys = set(row_keys(np.array(self._plan.rows))) if self._plan.rows else set()
         return [row for row in self.state.ledger.unseen(proposed) if row.tobytes() not in planned_keys]
 

@@ -10,6 +10,7 @@ from brink.search.algorithm import Candidate, Evaluation, Scored
 from brink.search.algorithms.thresholds.parts import Parts
 from brink.search.algorithms.thresholds.state import (
     MAX_FAILURES,
+    OPEN,
     Draw,
     Hunt,
     Job,
@@ -19,9 +20,10 @@ from brink.search.algorithms.thresholds.state import (
     ThresholdConfig,
     ThresholdState,
 )
+from brink.search.metric import Metric
 from brink.search.space import FloatArray
 from brink.search.streams import Stream, generator
-from brink.search.thresholds.estimation import Estimate, Outcome, Trials, estimate
+from brink.search.thresholds.estimation import FEWEST, Estimate, Outcome, Trials, estimate
 from brink.search.thresholds.line import Line, valid_change
 from brink.search.thresholds.prior import CurvePrior
 
@@ -29,6 +31,14 @@ COARSE: Final = 1 / 4
 """Width of the bracket from which on trials take over, as a share of the line, where chance has a part."""
 FAR: Final = 0.05
 """Least distance to the other end of the range, as a share of it, that is worth a simulation."""
+APART: Final = 0.02
+"""Distance of thresholds along the same unit below which one of them is enough, where chance has no part."""
+CHECKS: Final = 3
+"""Fresh seeds of the solution whose units are moved; most of them must have its verdict."""
+OTHER_CHECKS: Final = 2
+"""Fresh seeds of the other end of a line while it is bracketed; one of them must have its verdict."""
+HOPELESS: Final = 0.8
+"""Probability that a place is chancy from which on the budget is better spent elsewhere."""
 PROBES: Final = 3
 """Probes of a bracket at a time where chance has a part; without chance, one."""
 
@@ -79,6 +89,7 @@ class _Stages:
         self._config = state.config
         self._parts = Parts(state.ledger.space)
         self._simulated = Simulated(state.ledger.archive)
+        self._metric = Metric.of_space(state.ledger.space)
         self.hunts = list(state.hunts)
         self.estimates = dict(state.estimates)
 
@@ -93,9 +104,9 @@ class _Stages:
             case Stage.SCREEN | Stage.REDUCE:
                 self.hunts[place] = self._reduced(hunt, told)
             case Stage.MOVE:
-                self.hunts[place] = self._moved(hunt, *told[0]) if told else hunt
+                self._moved(place, hunt, told)
             case Stage.SPAN | Stage.BRACKET:
-                self.hunts[place] = self._bracketed(hunt, told)
+                self.hunts[place] = self._apart(place, self._bracketed(hunt, told))
             case _:
                 self._conclude(
                     place, replace(hunt, trials=(*hunt.trials, *(number for _, _, number in told)))
@@ -103,47 +114,85 @@ class _Stages:
 
     def _reduced(self, hunt: Hunt, told: Sequence[tuple[int, int, int]]) -> Hunt:
         """Return a hunt after the scenario alone, or solutions with one block less, were simulated."""
-        unsafe = self._simulated.unsafe
-        screens = [number for purpose, _, number in told if purpose == Purpose.SCREEN]
-        if hunt.stage is Stage.SCREEN and not screens:
-            return hunt
-        if screens and unsafe(screens[0]):
-            return replace(hunt, stage=Stage.ALONE, held=screens[0])
+        if hunt.stage is Stage.SCREEN:
+            if not told:
+                return hunt
+            (_, _, alone), *_ = told
+            if self._is_kept(hunt, alone):
+                return replace(hunt, stage=Stage.ALONE, held=alone)
+            several = len(self._parts.active(self._simulated.row(hunt.held))) > 1
+            return replace(hunt, stage=Stage.REDUCE if several else Stage.MOVE)
         drops = [(block, number) for purpose, block, number in told if purpose == Purpose.DROP]
-        needed = [block for block, number in drops if not unsafe(number)]
-        held = next((number for _, number in drops if unsafe(number)), hunt.held)
+        needed = [block for block, number in drops if not self._is_kept(hunt, number)]
+        held = next((number for _, number in drops if self._is_kept(hunt, number)), hunt.held)
         hunt = replace(hunt, needed=(*hunt.needed, *needed), held=held)
         active = self._parts.active(self._simulated.row(held))
-        dropped = any(unsafe(number) for _, number in drops)
+        dropped = len(needed) < len(drops)
         is_minimal = len(active) < 2 or not dropped or set(active) <= set(hunt.needed)
         return replace(hunt, stage=Stage.MOVE if is_minimal else Stage.REDUCE)
 
-    def _moved(self, hunt: Hunt, purpose: int, unit: int, number: int) -> Hunt:
-        """Return a hunt after one unit was moved."""
-        if not self._simulated.unsafe(number):
-            found = replace(
-                hunt,
-                moved=(*hunt.moved, unit),
-                unit=unit,
-                safe=number,
-                unsafe=hunt.held,
-                start=number,
-                end=hunt.held,
-                stage=Stage.SPAN if unit in self._parts.numeric else Stage.CATEGORY,
-            )
-            return self._bracketed(found, ()) if found.stage is Stage.SPAN else found
-        if purpose == Purpose.APPROACH:
-            return replace(hunt, held=number)
-        hunt = replace(hunt, moved=(*hunt.moved, unit))
-        left = set(self._parts.movable(self._simulated.row(hunt.held))) - set(hunt.moved)
-        given_up = len(hunt.moved) >= self._config.moves or not left
-        return replace(hunt, stage=Stage.FIXED if given_up else Stage.MOVE)
+    def _moved(self, place: int, hunt: Hunt, told: Sequence[tuple[int, int, int]]) -> None:
+        """Move a hunt on after units were moved, each alone; those that changed the verdict give a line each.
+
+        The first of these lines is the hunt's own, the others are hunts that wait.
+        """
+        checks = tuple(number for purpose, _, number in told if purpose == Purpose.CHECK)
+        hunt = replace(hunt, trials=(*hunt.trials, *checks))
+        moves = [one for one in told if one[0] != Purpose.CHECK]
+        if self._is_by_chance(checks, unsafe=not hunt.from_safe):
+            self.hunts[place] = replace(hunt, stage=Stage.CHANCY)
+            return
+        changed = [(unit, number) for _, unit, number in moves if not self._is_kept(hunt, number)]
+        moved = tuple(unit for purpose, unit, number in moves if purpose == Purpose.MOVE)
+        hunt = replace(hunt, moved=(*hunt.moved, *moved))
+        if changed:
+            first, *others = (self._begun(hunt, unit, number) for unit, number in changed)
+            self.hunts[place] = first
+            waiting = (one for one in others if one.stage is Stage.SPAN)
+            self.hunts += [replace(one, stage=Stage.READY) for one in waiting]
+        elif moves and moves[0][0] == Purpose.APPROACH:
+            # A fresh seed of the solution as it was says nothing of the solution as it is now.
+            self.hunts[place] = replace(hunt, held=moves[0][2], trials=())
+        elif moves:
+            left = set(self._parts.movable(self._simulated.row(hunt.held))) - set(hunt.moved)
+            given_up = len(hunt.moved) >= self._config.moves or not left
+            self.hunts[place] = replace(hunt, stage=Stage.FIXED if given_up else Stage.MOVE)
+        else:
+            self.hunts[place] = hunt
+
+    def _is_kept(self, hunt: Hunt, number: int) -> bool:
+        """Return whether a solution has the verdict of a hunt's anchor."""
+        return self._simulated.unsafe(number) != hunt.from_safe
+
+    def _begun(self, hunt: Hunt, unit: int, changed: int) -> Hunt:
+        """Return the hunt along a unit that changed the verdict."""
+        safe, unsafe = (hunt.held, changed) if hunt.from_safe else (changed, hunt.held)
+        found = replace(
+            hunt,
+            moved=hunt.moved if unit in hunt.moved else (*hunt.moved, unit),
+            unit=unit,
+            safe=safe,
+            unsafe=unsafe,
+            start=safe,
+            end=unsafe,
+            stage=Stage.SPAN if unit in self._parts.numeric else Stage.CATEGORY,
+        )
+        return self._bracketed(found, ()) if found.stage is Stage.SPAN else found
+
+    def _is_by_chance(self, checks: Sequence[int], *, unsafe: bool) -> bool:
+        """Return whether most of at least two fresh seeds contradict the verdict at an end of a line."""
+        contradict = sum(self._simulated.unsafe(number) != unsafe for number in checks)
+        return contradict >= max(2, len(checks) // 2 + 1)
 
     def _bracketed(self, hunt: Hunt, told: Sequence[tuple[int, int, int]]) -> Hunt:
         """Return a hunt with its bracket narrowed by probes, in the stage that follows."""
         unsafe, row = self._simulated.unsafe, self._simulated.row
         if told and hunt.stage is Stage.SPAN:
             hunt = replace(hunt, stage=Stage.BRACKET)
+        checks = [(end, number) for purpose, end, number in told if purpose == Purpose.CHECK]
+        hunt = replace(hunt, trials=(*hunt.trials, *(number for _, number in checks)))
+        if any(self._is_by_chance([n for at, n in checks if at == end], unsafe=bool(end)) for end in (0, 1)):
+            return replace(hunt, stage=Stage.CHANCY)
         for purpose, _, number in told:
             if purpose == Purpose.FAR:
                 hunt = replace(hunt, end=number) if unsafe(number) else replace(hunt, window=True)
@@ -155,17 +204,35 @@ class _Stages:
                 break
             hunt = replace(hunt, safe=number)
         simulated, config = self._simulated, self._config
-        if probe_rows(hunt, self._parts, simulated, config):
-            return hunt
-        if hunt.stage is Stage.SPAN and far_row(hunt, self._parts, simulated) is not None:
+        if probe_rows(hunt, self._parts, simulated, config) or (config.trials and hunt.stage is Stage.SPAN):
             return hunt
         return replace(hunt, stage=Stage.ESTIMATE if config.trials else Stage.THRESHOLD)
+
+    def _apart(self, place: int, hunt: Hunt) -> Hunt:
+        """Return a hunt, ended if another one along the same unit is at a place close by.
+
+        Only where chance has no part: there, a threshold costs so little that many would lie side by side.
+        """
+        if self._config.trials or hunt.stage not in OPEN:
+            return hunt
+        others = [
+            self._simulated.row(one.unsafe)
+            for index, one in enumerate(self.hunts)
+            if one.unit == hunt.unit and index != place and one.stage in (Stage.BRACKET, Stage.THRESHOLD)
+        ]
+        ends = np.array([self._simulated.row(hunt.safe), self._simulated.row(hunt.unsafe)])
+        if not others:
+            return hunt
+        is_close = (self._metric.between(ends, np.array(others)) < APART).all(axis=0).any()
+        return replace(hunt, stage=Stage.REPEATED) if is_close else hunt
 
     def _conclude(self, place: int, hunt: Hunt) -> None:
         """Estimate the threshold of a hunt, and end it if enough is known."""
         stages = {Outcome.THRESHOLD: Stage.THRESHOLD, Outcome.CHANCY: Stage.CHANCY}
         found = estimate_of(self._state, hunt, self._parts, self._simulated)
         stage = stages.get(found.outcome, Stage.ESTIMATE)
+        if stage is Stage.ESTIMATE and found.trials >= FEWEST and found.chancy >= HOPELESS:
+            stage = Stage.CHANCY
         self.hunts[place] = replace(hunt, stage=stage)
         self.estimates.pop(place, None)
         if stage is Stage.ESTIMATE:
@@ -184,12 +251,12 @@ def far_row(hunt: Hunt, parts: Parts, simulated: Simulated) -> FloatArray | None
     if len(unit) > 1:
         return None
     column, parameter = unit[0], parts.space.parameters[unit[0]]
-    safe, unsafe = simulated.row(hunt.start)[column], simulated.row(hunt.held)[column]
-    row = np.array(simulated.row(hunt.held))
+    safe, unsafe = simulated.row(hunt.start)[column], simulated.row(hunt.end)[column]
+    row = np.array(simulated.row(hunt.end))
     row[column] = parameter.most if unsafe > safe else parameter.least  # type: ignore[union-attr]
     if abs(row[column] - unsafe) < FAR * parts.space.ranges[column]:
         return None
-    return valid_change(parts.space, simulated.row(hunt.held), row, unit)
+    return valid_change(parts.space, simulated.row(hunt.end), row, unit)
 
 
 def probe_rows(hunt: Hunt, parts: Parts, simulated: Simulated, config: ThresholdConfig) -> list[FloatArray]:

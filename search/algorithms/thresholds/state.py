@@ -46,15 +46,17 @@ class Purpose(IntEnum):
     """Somewhere along the unit, under a seed of its own."""
     APPROACH = 7
     """With one unit set to the value of a safe solution: is it safe then?"""
+    CHECK = 8
+    """An end of a line under a seed of its own: does its verdict depend on the seed?"""
 
 
 class Stage(IntEnum):
     """How far a hunt has come. Archives store the numbers, so they must not change."""
 
     SCREEN = 0
-    """Is the scenario alone unsafe, and which errors does it take?"""
+    """Does the scenario alone have the same verdict?"""
     REDUCE = 1
-    """Which of the errors that are left does it take?"""
+    """Which errors does the verdict take?"""
     MOVE = 2
     """Which unit makes it safe?"""
     SPAN = 3
@@ -70,11 +72,15 @@ class Stage(IntEnum):
     CATEGORY = 8
     """Ended: only a category changes the verdict."""
     ALONE = 9
-    """Ended: the scenario is unsafe without any error."""
+    """Ended: the scenario has the same verdict without any error."""
     FIXED = 10
     """Ended: no single unit that was tried makes it safe."""
     GIVEN_UP = 11
     """Ended: too many simulations failed."""
+    READY = 12
+    """Waits: the unit is known to make it safe, and its line begins if the budget suffices."""
+    REPEATED = 13
+    """Ended: another hunt along the same unit has a threshold close by."""
 
 
 OPEN: Final = (Stage.SCREEN, Stage.REDUCE, Stage.MOVE, Stage.SPAN, Stage.BRACKET, Stage.ESTIMATE)
@@ -94,16 +100,20 @@ class ThresholdConfig(LedgerConfig):
         le=1000,
     )
     explore: float = setting(
-        0.3, help="Share of the budget that looks for unsafe solutions at the start.", ge=0.01, le=1
+        0.15, help="Share of the budget that looks for unsafe solutions at the start.", ge=0.01, le=1
     )
     chance: float = setting(
         0.25, help="Share of these that are drawn at random, whatever the surrogate proposes.", ge=0, le=1
     )
     moves: int = setting(
-        6, help="Units that are moved, one after the other, until an unsafe solution is safe.", ge=1, le=100
+        6, help="Units that are moved, each alone, until an unsafe solution is safe.", ge=1, le=100
     )
     units: int = setting(
-        2, help="Units of an unsafe solution along which thresholds are looked for.", ge=1, le=100
+        3,
+        help="Units of an unsafe solution that are moved at a time; a threshold is looked for along each that "
+        "makes it safe.",
+        ge=1,
+        le=100,
     )
     generation_size: int = setting(20, help="Candidates per generation.", ge=1, le=10_000)
     in_flight: int = setting(
@@ -117,23 +127,24 @@ class ThresholdConfig(LedgerConfig):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hunt:
-    """The hunt for a threshold near an unsafe solution; solutions by their numbers, -1 for none.
+    """The hunt for a threshold near a solution; solutions by their numbers, -1 for none.
 
     Attributes:
-        anchor: The unsafe solution that it began with.
+        anchor: The solution that it began with.
         seed: Number of the candidate whose episode seed its stages share.
-        held: The solution as reduced so far; unsafe under the seed.
+        held: The solution as reduced so far; it has the verdict of the anchor under the seed.
         stage: How far it is.
-        needed: Blocks without which it is safe, as indices.
+        from_safe: Whether the anchor is safe. Errors may protect, such as an injected detection where there is none.
+        needed: Blocks without which it has the other verdict, as indices.
         unit: Index of the unit that decides, -1 before it is known.
         moved: Indices of the units moved so far, in this hunt and earlier ones of the same anchor.
-        opposite: Safe solution that it approaches, one unit after the other.
+        opposite: Solution of the other verdict that it approaches, one unit after the other.
         safe: Safe end of the bracket.
         unsafe: Unsafe end of the bracket.
         start: Safe end of the line.
         end: Unsafe end of the line.
         window: Whether it is safe again further on.
-        trials: Simulations along the line with seeds of their own.
+        trials: Simulations along the line, or of the held solution, with seeds of their own.
         failures: Simulations that failed.
         told: Simulations of the current stage that have a verdict, each with its purpose and subject.
     """
@@ -142,6 +153,7 @@ class Hunt:
     seed: int
     held: int
     stage: Stage
+    from_safe: bool = False
     needed: tuple[int, ...] = ()
     unit: int = -1
     moved: tuple[int, ...] = ()

@@ -133,11 +133,13 @@ def test_a_scenario_that_is_unsafe_alone_costs_one_simulation(
 ) -> None:
     state, asked = drives
     simulated = Simulated(state.archive)
-    alone = [place for place, hunt in enumerate(state.hunts) if hunt.stage is Stage.ALONE]
+    alone = [
+        place for place, hunt in enumerate(state.hunts) if hunt.stage is Stage.ALONE and not hunt.from_safe
+    ]
     assert alone
     assert all(simulated.row(state.hunts[place].anchor)[0] == 2 for place in alone)
     purposes = {job.purpose for _, job in asked if job.purpose is not Purpose.EXPLORE and job.hunt in alone}
-    assert purposes <= {Purpose.SCREEN, Purpose.DROP}
+    assert purposes == {Purpose.SCREEN}
     others = [hunt for hunt in state.hunts if hunt.unit >= 0]
     assert all(simulated.row(hunt.held)[0] != 2 for hunt in others)
 
@@ -165,10 +167,10 @@ def test_an_archive_says_what_a_line_is(drives: tuple[ThresholdState, list[Ask]]
             assert candidate.seed_number is None
             continue
         hunt = state.hunts[job.hunt]
-        if job.purpose not in (Purpose.TRIAL, Purpose.PROBE, Purpose.FAR):
-            assert candidate.seed_number == hunt.seed
+        fresh = job.purpose in (Purpose.TRIAL, Purpose.CHECK)
+        assert candidate.seed_number == (None if fresh else hunt.seed)
+        if hunt.unit < 0 or not (fresh or job.purpose in (Purpose.PROBE, Purpose.FAR)):
             continue
-        assert candidate.seed_number == (None if job.purpose is Purpose.TRIAL else hunt.seed)
         changed = np.flatnonzero(row != simulated.row(hunt.held))
         assert set(changed) <= set(parts.units[hunt.unit])
 
@@ -178,8 +180,38 @@ def test_most_of_the_budget_goes_into_thresholds(drives: tuple[ThresholdState, l
     times = Counter(job.purpose for _, job in asked)
     assert len(asked) == 600
     assert times[Purpose.TRIAL] >= 0.35 * len(asked)
-    ended = [hunt for hunt in state.hunts if hunt.stage in (Stage.THRESHOLD, Stage.CHANCY)]
-    assert all(12 <= len(hunt.trials) <= 45 for hunt in ended)
+    assert all(12 <= len(hunt.trials) <= 45 for hunt in state.hunts if hunt.stage is Stage.THRESHOLD)
+
+
+def test_each_unit_that_makes_a_drive_safe_may_have_a_threshold() -> None:
+    space = SearchSpace((Component("a", tuple(Real(name, 0.0, 1.0) for name in ("x", "y", "z"))),))
+
+    def corner(candidate: Candidate) -> Scored:
+        robustness = 0.6 - float(space.join(candidate.vectors).min())
+        return Scored(unsafe=robustness < 0, robustness=robustness)
+
+    state, asked = search(space, corner, budget=250)
+    found = [hunt for hunt in state.hunts if hunt.stage is Stage.THRESHOLD]
+    assert max(Counter(hunt.anchor for hunt in found).values()) >= 2
+    assert {hunt.unit for hunt in found} == {0, 1, 2}
+    moves = Counter(job.hunt for _, job in asked if job.purpose is Purpose.MOVE)
+    assert sum(moves.values()) < 3 * len(moves) + 1  # all units of a solution at a time, and once
+
+
+def test_what_protects_a_drive_is_varied_where_drives_without_it_are_unsafe() -> None:
+    def protected(candidate: Candidate) -> Scored:
+        row = DRIVES.join(candidate.vectors)
+        robustness = max([row[c + 1] - 0.6 for c in (2, 4) if row[c]], default=-1.0)
+        return Scored(unsafe=robustness < 0, robustness=float(robustness))
+
+    state, _ = search(DRIVES, protected, budget=300)
+    parts, simulated = Parts(DRIVES), Simulated(state.archive)
+    found = [hunt for hunt in state.hunts if hunt.stage is Stage.THRESHOLD]
+    assert len(found) >= 3
+    for hunt in found:
+        assert hunt.from_safe
+        (column,) = parts.units[hunt.unit]
+        assert simulated.row(hunt.safe)[column] >= 0.6 > simulated.row(hunt.unsafe)[column]
 
 
 def test_without_chance_thresholds_are_bisected_to_the_resolution() -> None:
@@ -191,7 +223,7 @@ def test_without_chance_thresholds_are_bisected_to_the_resolution() -> None:
         safe, unsafe = simulated.row(hunt.safe), simulated.row(hunt.unsafe)
         assert np.abs(safe - unsafe).sum() <= 0.002 + 1e-12
         assert mtq_gap_to_boundary(*(0.5 * (safe + unsafe))) <= 0.002
-    assert Purpose.TRIAL not in {job.purpose for _, job in asked}
+    assert not {Purpose.TRIAL, Purpose.CHECK, Purpose.FAR} & {job.purpose for _, job in asked}
 
 
 def test_chance_everywhere_is_no_threshold() -> None:
@@ -201,10 +233,13 @@ def test_chance_everywhere_is_no_threshold() -> None:
         return Scored(unsafe=unsafe, robustness=-1.0 if unsafe else 1.0)
 
     space = SearchSpace((Component("a", (Real("x", 0.0, 1.0), Real("y", 0.0, 1.0))),))
-    state, _ = search(space, coin, budget=200)
+    state, asked = search(space, coin, budget=200)
     stages = Counter(hunt.stage for hunt in state.hunts)
-    assert stages[Stage.CHANCY] >= 2
+    assert stages[Stage.CHANCY] >= 8
     assert stages[Stage.THRESHOLD] <= 1
+    spent = Counter(job.hunt for _, job in asked if job.purpose is not Purpose.EXPLORE)
+    chancy = [spent[place] for place, hunt in enumerate(state.hunts) if hunt.stage is Stage.CHANCY]
+    assert np.median(chancy) <= 10  # fresh seeds of both ends tell before a curve is estimated
 
 
 def test_where_nothing_is_unsafe_all_simulations_explore() -> None:
