@@ -60,7 +60,7 @@ class Campaign:
 
     problem: str
     simulations: int
-    algorithm: str = "edge@1"
+    algorithm: str = "edge@2"
     name: str = ""
     seed: int = 1
     problem_params: Mapping[str, Any] = field(default_factory=dict)

@@ -28,7 +28,7 @@ async def search_async(
     function: Callable[..., float | Mapping[str, float]],
     space: DeclaredSpace,
     *,
-    algorithm: str = "edge@1",
+    algorithm: str = "edge@2",
     simulations: int = 500,
     params: Mapping[str, Any] | None = None,
     seed: int = 1,

@@ -1,4 +1,4 @@
-"""`edge@1`: pairs of solutions across the boundary, one safe and one unsafe, bisected until they nearly coincide.
+"""`edge@1`: pairs of solutions across the boundary, one safe and one unsafe, at most `eps` apart.
 
 The search explores at random, then looks for *partners*: the numbers of a simulated solution, its *anchor*, are drawn
 again, and the draw that a surrogate considers most likely to change the verdict is simulated under the anchor's

@@ -23,13 +23,13 @@ class Edge(WarmLedgerAlgorithm[EdgeConfig, EdgeState]):
     """The search for pairs across the boundary."""
 
     id = "edge@1"
-    suggested = 1
     finds = ("pairs", "boundary")
     minimises = ""
     without_chance: ClassVar[Mapping[str, float]] = {"checks": 0, "margin": 0.0, "eps": 0.005, "d_th": 0.1}
     """Settings that suit a function without chance, whose boundary is sharp."""
     summary = (
-        "Pairs across the boundary: one safe, one unsafe solution, and the smallest change between them."
+        "Pairs across the boundary: a safe and an unsafe neighbour, and the change between them. edge@2 also says "
+        "where along a number it turns."
     )
     config_type = EdgeConfig
     layout = 2

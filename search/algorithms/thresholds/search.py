@@ -21,6 +21,7 @@ class ThresholdSearch(WarmLedgerAlgorithm[ThresholdConfig, ThresholdState]):
     """The search for thresholds."""
 
     id = "edge@2"
+    suggested = 1
     finds = ("thresholds", "pairs", "boundary")
     minimises = ""
     without_chance: ClassVar[Mapping[str, float]] = {"trials": 0, "in_flight": 1}

@@ -133,11 +133,7 @@ class PairsKind(Kind):
     def _steps(self, subject: Subject, view: PairsView | None) -> list[Step]:
         has_pairs = view is not None and bool(view.distinct)
         if subject.role is not Role.SOUGHT:
-            return (
-                [_look(subject, view, "Which small change decides?")]
-                if view is not None and has_pairs
-                else []
-            )
+            return [_look(subject, view, "Which change decides?")] if view is not None and has_pairs else []
         if view is None or not has_pairs:
             return _search_on(subject, view)
         asked = [_ask(subject, view, offer) for offer in view.offers]

@@ -37,6 +37,8 @@ _UNCERTAIN: Final = {
     Outcome.CHANCY: "chance decides, no value does",
     Outcome.OPEN: "more simulations would tell where it turns",
 }
+_BARE: Final = 3
+"""Most words of a part that names a number, its value and its unit, and nothing else."""
 _PARTS: Final = re.compile(r"[^\s,;]+|[,;]?\s+|[,;]")
 
 
@@ -339,7 +341,14 @@ def held(problem: Problem, safe: SimulatedSolution, unsafe: SimulatedSolution, u
     one, other = (_PARTS.findall(describe_candidate(problem, side.vectors)) for side in (safe, unsafe))
     blocks = SequenceMatcher(None, one, other, autojunk=False).get_matching_blocks()
     shared = ["".join(one[block.a : block.a + block.size]) for block in blocks]
-    return "…".join(filter(None, shared)) if shared else ""
+    clauses = ("…".join(filter(None, shared)) if shared else "").split("; ")
+    return "; ".join(filter(None, map(_without_bare_values, clauses)))
+
+
+def _without_bare_values(clause: str) -> str:
+    """Return a clause without the parts that only name what changes, such as ``speed … m/s``."""
+    parts = clause.split(", ")
+    return ", ".join(part for part in parts if not ("…" in part and len(part.split()) <= _BARE))
 
 
 def _listed(problem: Problem, side: SimulatedSolution, unit: Unit) -> str:

@@ -42,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def circle(folder: Path) -> brink.Result:
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(surrogate, "TREES", 15)
-        return brink.search(inside, SPACE, simulations=300, progress=False)
+        return brink.search(inside, SPACE, algorithm="edge@1", simulations=300, progress=False)
 
 
 def test_a_search_finds_the_known_boundary_of_a_function(circle: brink.Result) -> None:
@@ -72,6 +72,23 @@ def test_a_data_frame_has_a_column_for_each_parameter(circle: brink.Result) -> N
 
 
 @pytest.mark.long("runs a search with workers")
+def test_a_search_finds_thresholds_by_default(folder: Path) -> None:
+    def gap(speed: float, distance: float) -> float:
+        return distance - speed**2 / 20.0
+
+    result = brink.search(
+        gap, {"speed": (1.0, 40.0), "distance": (1.0, 100.0)}, simulations=80, workers=1, progress=False
+    )
+    thresholds = result.findings("thresholds")
+    assert len(thresholds) >= 3
+    for row in thresholds.to_dict("records"):
+        name, _, value = row["held"].removeprefix("held: ").partition(" ")
+        turns = (20.0 * float(value)) ** 0.5 if name == "distance" else float(value) ** 2 / 20.0
+        assert row["low"] - 0.5 * row["resolution"] <= turns <= row["high"] + 0.5 * row["resolution"]
+    assert "thresholds of" in result.finding
+
+
+@pytest.mark.long("runs a search with workers")
 def test_a_search_without_pairs_says_what_to_try(folder: Path) -> None:
     options: dict[str, Any] = {"algorithm": "edge@1", "progress": False, "simulations": 20, "workers": 1}
     far = brink.search(inside, SPACE, params={"eps": 1e-6, "explore": 0.9}, **options)
@@ -89,7 +106,7 @@ def test_a_choice_that_is_called_null_is_no_missing_value(folder: Path) -> None:
         return x - 0.5 if label == "null" else 1.0
 
     space: dict[str, Any] = {"label": ["null", "person"], "x": (0.0, 1.0)}
-    found = brink.search(ghost, space, simulations=80, workers=1, progress=False)
+    found = brink.search(ghost, space, algorithm="edge@1", simulations=80, workers=1, progress=False)
     labels = {*found.pairs()["safe.parameters.label"], *found.pairs()["unsafe.parameters.label"]}
     assert "null" in labels <= {"null", "person"}
 
@@ -113,7 +130,12 @@ def test_pairs_of_a_function_with_chance_are_simulated_again(folder: Path) -> No
         return x - y + np.random.default_rng(seed).normal(0, 0.02)
 
     result = brink.search(
-        noisy, {"x": (0.0, 1.0), "y": (0.0, 1.0)}, simulations=150, workers=1, progress=False
+        noisy,
+        {"x": (0.0, 1.0), "y": (0.0, 1.0)},
+        algorithm="edge@1",
+        simulations=150,
+        workers=1,
+        progress=False,
     )
     pairs = result.check_pairs(confirm=30)
     assert len(pairs) >= 2

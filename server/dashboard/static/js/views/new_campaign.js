@@ -7,17 +7,17 @@ import { go } from "../router.js";
 import { callout } from "../parts/elements.js";
 import { field } from "../parts/fields.js";
 
-const FIRST = { problem: "urban-injected@1", algorithm: "edge@1" };
+const FIRST = { problem: "urban-errors@1", algorithm: "edge@2" };
 const EXAMPLE = `# A campaign file for brink run or brink submit.
 name: quickstart
 problem:
-  id: urban-injected@1
+  id: urban-errors@1
   params:
     requirement: front-gap@1
 algorithm:
-  id: edge@1
+  id: edge@2
 budget:
-  simulations: 300
+  simulations: 500
 seed: 1
 `;
 
