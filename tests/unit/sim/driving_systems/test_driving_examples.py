@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from brink.server.problems.base import SupportsSeeds
 from brink.server.problems.catalogue import make_problem
 from brink.server.problems.driving_systems import driving_options
 from brink.sim import catalogue
@@ -103,6 +104,14 @@ def test_findings_say_whose_driving_system_drove() -> None:
     assert idm.about_component.startswith(own.about_component)
     assert "idm:Idm drove. If it gets objects, Brink's localiser and tracker make them" in idm.about_component
     assert make_problem("npc-actions@1", {}).about_component == ""
+
+
+def test_language_models_are_not_told_of_brinks_driving_system_when_another_one_drives() -> None:
+    own, idm = (make_problem("npc-actions@1", {"driving": name}) for name in ("modular@1", "idm:Idm"))
+    assert isinstance(own, SupportsSeeds)
+    assert isinstance(idm, SupportsSeeds)
+    assert "modular" in own.system
+    assert "modular" not in idm.system
 
 
 @pytest.mark.parametrize(
