@@ -38,6 +38,7 @@ from brink.server.problems.driving_systems import (
     wrong_driving,
 )
 from brink.server.problems.traffic_changes import words_of_traffic_change
+from brink.sim.driving_systems.option import OWN
 from brink.sim.encounter.specification import (
     PLACE_FIELDS,
     REFERENCE,
@@ -71,6 +72,9 @@ ROAD_USERS: Final = "road_users"
 LIT: Final = "crossroad"
 _SYSTEM: Final = (
     "a modular automated car with a camera, an obstacle detector, tracking, prediction, planning and control"
+)
+_OTHER_SYSTEM: Final = (
+    "an automated car with a camera, an obstacle detector, and a driving system of the user's own"
 )
 
 
@@ -167,7 +171,7 @@ class NpcActions(SimulatedProblem):
             streets_m=lanes.crossing_streets_m,
         )
         self.max_participants = params.participants
-        self.system = _SYSTEM
+        self.system = _SYSTEM if params.driving == OWN else _OTHER_SYSTEM
         self.space = SearchSpace((participants_component(ROAD_USERS, params.participants, self.road),))
         self._rule = participants_of(self.space)[1]
         self.needs = SIMULATORS[params.sight]

@@ -127,8 +127,8 @@ class Ends:
         unsafe = np.flatnonzero(line.unsafe & (along < reach))
         before = safe[along[safe] <= sign * one.start] if math.isfinite(one.start) else safe[:0]
         after = unsafe[along[unsafe] >= sign * one.end] if math.isfinite(one.end) else unsafe[:0]
-        low = _end(-along, before, -sign * one.start + one.resolution) if before.size else safe[np.argmin(along[safe])]
-        high = _end(along, after, sign * one.end + one.resolution) if after.size else unsafe[np.argmax(along[unsafe])]
+        low = before[np.argmax(along[before])] if before.size else safe[np.argmin(along[safe])]
+        high = after[np.argmin(along[after])] if after.size else unsafe[np.argmax(along[unsafe])]
         numbers = archive.numbers[line.places[[low, high]]].tolist()
         return cls(
             safe=numbers[0],
@@ -136,20 +136,6 @@ class Ends:
             values=(float(line.values[low]), float(line.values[high])),
             are_beyond=bool(before.size and after.size),
         )
-
-
-def _end(outwards: FloatArray, beyond: IntArray, furthest: float) -> int:
-    """Return the position of the end of a tight pair: the furthest one up to a limit, else the nearest one.
-
-    At the 20% point itself, a drive would be unsafe too often in half of the cases, so a resolution more is taken.
-
-    Args:
-        outwards: How far out each solution of the line is, shape ``(n,)``.
-        beyond: Positions of those that may be the end, at least one.
-        furthest: The limit.
-    """
-    within = beyond[outwards[beyond] <= furthest]
-    return int(within[np.argmax(outwards[within])] if within.size else beyond[np.argmin(outwards[beyond])])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
