@@ -1,10 +1,12 @@
 """Thresholds driven again: many simulations along the unit, beside the estimate of the run.
 
-The places are spread evenly from well before the 20% point to well beyond the 80% point, each with a fresh seed. The
-50% point is where their isotonic regression passes one half, which assumes nothing but that the probability rises.
+The places are spread evenly from well before the 20% point to well beyond the 80% point, as far as the line was
+estimated, each with a fresh seed. The 50% point is where their isotonic regression passes one half, which assumes
+nothing but that the probability rises.
 """
 
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -38,7 +40,6 @@ from brink.plots.style import (
     style_axes,
 )
 from brink.search.algorithm import Scored
-from brink.search.parameters import Number
 from brink.server.findings.thresholds.words import Amounts
 
 DRIVES: Final = 200
@@ -49,6 +50,8 @@ _BINS: Final = 20
 _FIRST: Final = 10**7
 """Number of the first fresh simulation; see `Runner.fresh`."""
 _COLUMNS: Final = 3
+_TITLE: Final = 66
+"""Characters of a panel's title."""
 _ROW_PX, _TOP_PX, _BOTTOM_PX = 330, 190, 70
 
 
@@ -115,18 +118,24 @@ def driven(found: Sequence[Found], count: int, folder: Path, progress: Progress)
     return made
 
 
+def places_of(one: Estimated) -> list[float]:
+    """Return the values at which a threshold is driven again, all on the line that was estimated.
+
+    Further on, drives may be safe again, which would be another threshold.
+    """
+    width = _BEYOND * max(abs(one.end - one.start), 2.0 * one.resolution)
+    low, high = min(one.start, one.end) - width, max(one.start, one.end) + width
+    line = one.curve[0]
+    return [float(value) for value in np.linspace(max(low, min(line)), min(high, max(line)), DRIVES)]
+
+
 def _drives(run: Found, place: int) -> dict[str, list[float] | list[bool]]:
     """Simulate along the unit of a threshold of a run."""
     runner, one = runner_of(run.task.problem), run.thresholds[place]
     space = runner.problem.space
-    parameter = space.parameters[one.leading]
-    assert isinstance(parameter, Number)
-    width = _BEYOND * max(abs(one.end - one.start), 2.0 * one.resolution)
-    low, high = min(one.start, one.end) - width, max(one.start, one.end) + width
     values: list[float] = []
     unsafe: list[bool] = []
-    places = np.linspace(max(low, parameter.least), min(high, parameter.most), DRIVES).tolist()
-    for number, value in enumerate(places, start=_FIRST + place * DRIVES):
+    for number, value in enumerate(places_of(one), start=_FIRST + place * DRIVES):
         row = one.at(space, value)
         if row is None:
             continue
@@ -243,6 +252,5 @@ def _panel(figure: Figure, place: object, one: Driven, number: int) -> None:
     axes.tick_params(labelsize=TICK_PT - 1)
     axes.set_xlabel(amounts.unit, fontsize=SMALL_PT)
     state = "inside" if one.is_inside else "outside"
-    axes.set_title(
-        f"{number}. {' / '.join(one.one.kind)[:52]}: {state}", fontsize=SMALL_PT, loc="left", color=INK
-    )
+    title = textwrap.shorten(f"{number}. {state}: {' / '.join(one.one.kind)}", _TITLE, placeholder=" …")
+    axes.set_title(title, fontsize=SMALL_PT, loc="left", color=INK)

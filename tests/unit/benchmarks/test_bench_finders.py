@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from benchmarks import finder_runs
 from benchmarks.cli import bench
-from benchmarks.finder_curves import Driven, curves_table, figure_curves
+from benchmarks.finder_curves import Driven, curves_table, figure_curves, places_of
 from benchmarks.finder_runs import End, Estimated, Run, Runner, estimated_thresholds, pairs_to_sharpen
 from benchmarks.finders import (
     CASES,
@@ -208,7 +208,17 @@ def test_the_driven_middle_is_where_the_share_passes_one_half() -> None:
     assert "none" in text
     figure = figure_curves([falling, rising, never], "Thresholds")
     titles = [axes.get_title(loc="left") for axes in figure.axes]
-    assert [title.rpartition(": ")[2] for title in titles if title] == ["inside", "outside", "outside"]
+    states = [title.split(". ")[1].split(":")[0] for title in titles if title]
+    assert states == ["inside", "outside", "outside"]
+
+
+def test_a_threshold_is_driven_again_on_its_line_alone() -> None:
+    wide = places_of(replace(LINE, curve=[[0.0, 1.0], *LINE.curve[1:]]))
+    assert min(wide) < 0.53
+    assert max(wide) > 0.57
+    window = places_of(replace(LINE, curve=[[0.535, 0.565], *LINE.curve[1:]]))
+    assert (min(window), max(window)) == (0.535, 0.565), "drives further on are safe again"
+    assert len(wide) == len(window) == 200
 
 
 @pytest.mark.parametrize(
