@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.marks import mostly_long
 
 from brink import Study, Trial
 from brink.search.errors import DocumentError, OrderError, SpaceError, UnsupportedSpace
@@ -13,6 +14,11 @@ from brink.server.errors import InvalidInput
 
 SPACE = {"x": (0.0, 1.0), "y": (0.0, 1.0)}
 SHARP = {"checks": 0, "margin": 0.0, "eps": 0.005, "d_th": 0.05}
+
+RIVALS = ["nearest-opposite@1", "deepjanus@1", "straddle@1", "bsv@1"]
+EACH = mostly_long(
+    ["random@1", "ga@1", "edge@1", "edge@2", *RIVALS], ["random@1", "ga@1", "edge@2"], "other searches"
+)
 
 
 def outside(trial: Trial) -> float:
@@ -39,7 +45,7 @@ def test_a_study_finds_pairs_on_a_known_boundary() -> None:
     assert np.abs(radius - 0.3).max() < 0.01
 
 
-@pytest.mark.parametrize("algorithm", ["random@1", "ga@1", "edge@1"])
+@pytest.mark.parametrize("algorithm", EACH)
 @given(order=st.randoms(use_true_random=False))
 @settings(max_examples=5, deadline=None)
 def test_the_order_of_results_does_not_matter(algorithm: str, order: object) -> None:
@@ -52,7 +58,7 @@ def test_the_order_of_results_does_not_matter(algorithm: str, order: object) -> 
     assert first.to_pandas().equals(second.to_pandas())
 
 
-@pytest.mark.parametrize("algorithm", ["random@1", "ga@1", "edge@1"])
+@pytest.mark.parametrize("algorithm", EACH)
 @pytest.mark.parametrize("told", [0, 7, 61])
 def test_a_saved_study_goes_on_where_it_was(algorithm: str, told: int, tmp_path: Path) -> None:
     whole = finished(Study(SPACE, algorithm, simulations=120))
@@ -123,7 +129,7 @@ def test_what_cannot_be_searched_is_refused(tmp_path: Path) -> None:
         Study(SPACE, "qd@1")
 
 
-@pytest.mark.parametrize("algorithm", ["random@1", "edge@1"])
+@pytest.mark.parametrize("algorithm", ["random@1", "edge@1", "edge@2"])
 def test_a_study_starts_from_known_results(algorithm: str, tmp_path: Path) -> None:
     known = finished(Study(SPACE, "random@1", simulations=120)).to_pandas()
     study = Study(SPACE, algorithm, simulations=60, start_from=known)

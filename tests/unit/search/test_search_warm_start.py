@@ -21,6 +21,7 @@ from brink.search.algorithms.edge import Edge, EdgeConfig, EdgeState, Purpose, S
 from brink.search.algorithms.ga import GeneticAlgorithm, GeneticAlgorithmConfig
 from brink.search.algorithms.mlcshe import Mlcshe, MlcsheConfig
 from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig
+from brink.search.algorithms.thresholds import ThresholdConfig, ThresholdSearch
 from brink.search.archive import Archive, archive_digest
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError
@@ -43,7 +44,10 @@ ALGORITHMS: Mapping[str, tuple[AnyAlgorithm, Any]] = {
     "ga@1": (GeneticAlgorithm(), GeneticAlgorithmConfig(population_size=20)),
     "mlcshe@1": (Mlcshe(), MlcsheConfig(population_size=8)),
     "edge@1": (Edge(), EdgeConfig(d_th=0.05)),
+    "edge@2": (ThresholdSearch(), ThresholdConfig(trials=18)),
 }
+REPEAT = ("edge@1", "edge@2")
+"""Algorithms that ask for a solution more than once."""
 ROUND: dict[str, Any] = {"eps": 0.002, "d_th": 0.05, "checks": 0, "margin": 0.0}
 """Settings of `edge@1` for MTQ, whose boundary is a circle."""
 
@@ -97,7 +101,7 @@ LONG = pytest.mark.long("takes seconds; other amounts of what is known run every
     ("name", "results", "points"),
     [
         pytest.param(
-            name, results, points, marks=LONG if name == "edge@1" and (results, points) != (40, 12) else ()
+            name, results, points, marks=LONG if name in REPEAT and (results, points) != (40, 12) else ()
         )
         for name in ALGORITHMS
         for results, points in [(40, 0), (0, 12), (40, 12), (3, 1)]
@@ -111,7 +115,7 @@ def test_a_warm_search_keeps_the_contract(name: str, results: int, points: int) 
         space,
         budget=100,
         config=config,
-        repeats=name == "edge@1",
+        repeats=name in REPEAT,
         known=known_in(space, results, points),
     )
 
@@ -120,7 +124,7 @@ def test_a_warm_search_keeps_the_contract(name: str, results: int, points: int) 
 @pytest.mark.parametrize(
     ("name", "space_name"),
     [
-        pytest.param(name, space, marks=LONG if space == "mixed" or name == "edge@1" else ())
+        pytest.param(name, space, marks=LONG if space == "mixed" or name in REPEAT else ())
         for name in ALGORITHMS
         for space in ("mixed", "categorical")
     ],
@@ -129,7 +133,7 @@ def test_a_warm_search_keeps_the_contract_with_categories(name: str, space_name:
     algorithm, config = ALGORITHMS[name]
     space = example_spaces()[space_name]
     check_algorithm(
-        algorithm, space, budget=80, config=config, repeats=name == "edge@1", known=known_in(space, 30, 5)
+        algorithm, space, budget=80, config=config, repeats=name in REPEAT, known=known_in(space, 30, 5)
     )
 
 
