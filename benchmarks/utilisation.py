@@ -33,6 +33,8 @@ TARGET: Final = 0.9
 """Least utilisation by `edge@2`, with more candidates in flight for most workers."""
 IN_FLIGHT: Final = 4
 """Candidates in flight for each worker that are modelled where the defaults have fewer."""
+BATCH: Final = 20
+"""Simulations along a unit at a time that are modelled with them, where a search has such a setting."""
 SIGMA: Final = 0.5
 """Standard deviation of the logarithm of the duration of a drive, as in `benchmarks.scale`."""
 TYPES: Final = ("none", "missed", "late", "shifted")
@@ -236,4 +238,5 @@ def _wide(algorithm: AnyAlgorithm, workers: int) -> list[dict[str, int]]:
         return []
     size, generations = algorithm.flight(config)
     enough = math.ceil(IN_FLIGHT * workers / size)
-    return [{"in_flight": enough}] if enough > generations else []
+    batch = {"batch": BATCH} if hasattr(config, "batch") else {}
+    return [{"in_flight": enough, **batch}] if enough > generations else []

@@ -225,10 +225,8 @@ class _Planner:
             found = estimate_of(self.state, hunt, self._parts, self._simulated)
             self.state = replace(self.state, estimates={**self.state.estimates, place: found})
         rng = self._rng(Draw.PLACES, hunt.held, hunt.unit, self._generation)
-        count = min(
-            FIRST_BATCH if len(hunt.trials) <= CHECKS + OTHER_CHECKS else BATCH,
-            self.state.config.trials - len(hunt.trials),
-        )
+        usual = FIRST_BATCH if len(hunt.trials) <= CHECKS + OTHER_CHECKS else BATCH
+        count = min(max(usual, self.state.config.batch), self.state.config.trials - len(hunt.trials))
         places = next_places(prior_of(hunt, line, self._simulated), found, count, rng)
         rows = [line.at(share) for share in places]
         return [line.end if row is None else row for row in rows]

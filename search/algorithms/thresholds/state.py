@@ -115,6 +115,13 @@ class ThresholdConfig(LedgerConfig):
         ge=1,
         le=100,
     )
+    batch: int = setting(
+        6,
+        help="Fewest simulations along a unit at a time, and eight at first. With more candidates in flight, more of "
+        "these at a time let the search end what it begins.",
+        ge=1,
+        le=1000,
+    )
     generation_size: int = setting(20, help="Candidates per generation.", ge=1, le=10_000)
     in_flight: int = setting(
         3,

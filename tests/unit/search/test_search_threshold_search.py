@@ -279,6 +279,22 @@ def test_small_generations_leave_room_for_more_of_them() -> None:
     assert max(map(len, flights)) > 3
 
 
+def test_lines_take_as_many_trials_at_a_time_as_is_set() -> None:
+    def most_at_a_time(batch: int) -> int:
+        algorithm, config = ThresholdSearch(), ThresholdConfig(batch=batch)
+        state, most = algorithm.start(DRIVES, config, seed=1, budget=300), 0
+        while not algorithm.finished(state):
+            state, generations = ask_all(algorithm, state)
+            asked = state.jobs[len(state.jobs) - sum(map(len, generations)) :]
+            trials = Counter(job.hunt for job in asked if job.purpose is Purpose.TRIAL)
+            most = max(most, *trials.values(), 0)
+            state = algorithm.tell(state, {c.number: drive(c) for c in state.pending})
+        return most
+
+    assert most_at_a_time(6) == 8
+    assert most_at_a_time(20) == 20
+
+
 def test_rare_unsafe_solutions_are_found() -> None:
     space = SearchSpace((Component("a", tuple(Real(f"x{place}", 0.0, 1.0) for place in range(6))),))
 
