@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Row
 from brink.search.analysis.confirmation import Share
 from brink.search.archive import Archive
 from brink.search.pairs import Steps
-from brink.search.space import Integer
+from brink.search.space import FloatArray, IntArray, Integer
 from brink.search.thresholds import CONFIDENCE, Outcome
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
@@ -106,8 +106,9 @@ class Ends:
     """Simulated solutions on both sides of a threshold, by number.
 
     Attributes:
-        safe: The safe one nearest to the 20% point, on its safe side; else the one furthest from it.
-        unsafe: The unsafe one nearest to the 80% point, on its unsafe side; else the one furthest from it.
+        safe: The safe one furthest from the 20% point, on its safe side, by at most a resolution. If there is none,
+            the nearest one on that side; else the one furthest from the unsafe side.
+        unsafe: The unsafe one, likewise, on the unsafe side of the 80% point.
         values: Values of the two.
         are_beyond: Whether both lie on these sides.
     """
@@ -127,8 +128,10 @@ class Ends:
         unsafe = np.flatnonzero(line.unsafe & (along < reach))
         before = safe[along[safe] <= sign * one.start] if math.isfinite(one.start) else safe[:0]
         after = unsafe[along[unsafe] >= sign * one.end] if math.isfinite(one.end) else unsafe[:0]
-        low = before[np.argmax(along[before])] if before.size else safe[np.argmin(along[safe])]
-        high = after[np.argmin(along[after])] if after.size else unsafe[np.argmax(along[unsafe])]
+        # Where chance has no part, the two points are simulated solutions.
+        more = 0.0 if one.end_interval == (one.start, one.end) else one.resolution
+        low = _end(-along, before, more - sign * one.start) if before.size else safe[np.argmin(along[safe])]
+        high = _end(along, after, more + sign * one.end) if after.size else unsafe[np.argmax(along[unsafe])]
         numbers = archive.numbers[line.places[[low, high]]].tolist()
         return cls(
             safe=numbers[0],
@@ -136,6 +139,20 @@ class Ends:
             values=(float(line.values[low]), float(line.values[high])),
             are_beyond=bool(before.size and after.size),
         )
+
+
+def _end(outwards: FloatArray, beyond: IntArray, furthest: float) -> int:
+    """Return the position of the end of a tight pair: the furthest one up to a limit, else the nearest one.
+
+    At the 20% point itself, a drive would be unsafe too often in half of the cases, so a resolution more is taken.
+
+    Args:
+        outwards: How far out each solution of the line is, shape ``(n,)``.
+        beyond: Positions of those that may be the end, at least one.
+        furthest: The limit.
+    """
+    within = beyond[outwards[beyond] <= furthest]
+    return int(within[np.argmax(outwards[within])] if within.size else beyond[np.argmin(outwards[beyond])])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

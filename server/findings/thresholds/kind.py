@@ -325,8 +325,8 @@ def _legend(view: ThresholdsView, noun: str) -> list[str]:
         ]
     if any(one.pair is not None for one in view.thresholds):
         told.append(
-            "both ends: the nearest simulated drives below 20 and above 80%; a tight pair if they are at most the "
-            "stretch and two resolutions apart"
+            "both ends: simulated drives below 20 and above 80%, by a resolution if there are such; a tight pair if "
+            "they are at most the stretch and two resolutions apart"
         )
     if view.has_component and any(one.outcome is Outcome.THRESHOLD for one in view.thresholds):
         told.append(

@@ -22,7 +22,7 @@ class EndView(View):
 
 
 class TightPairView(View):
-    """The nearest simulated drives on either side of a stretch: the safe one below 20%, the unsafe one above 80%."""
+    """Simulated drives on either side of a stretch: the safe one below 20%, the unsafe one above 80%."""
 
     safe: EndView
     unsafe: EndView
