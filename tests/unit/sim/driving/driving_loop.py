@@ -13,7 +13,6 @@ from brink.sim.driving.interface import (
     LightState,
     Observation,
     ObstacleLabel,
-    PlanMode,
 )
 from brink.sim.driving.settings import DrivingSettings
 from brink.sim.driving.system import ModularDriving
@@ -77,11 +76,11 @@ class Drive:
     speed_mps: list[float] = field(default_factory=list)
     accel_mps2: list[float] = field(default_factory=list)
     steer_rad: list[float] = field(default_factory=list)
-    mode: list[PlanMode] = field(default_factory=list)
+    mode: list[str] = field(default_factory=list)
     clearance_m: list[float] = field(default_factory=list)
     front_gap_m: list[float] = field(default_factory=list)
 
-    def modes(self) -> set[PlanMode]:
+    def modes(self) -> set[str]:
         return set(self.mode)
 
 
@@ -133,7 +132,7 @@ def drive(
     return done
 
 
-def _record(done: Drive, time_s: float, ego: EgoState, accel: float, steer: float, mode: PlanMode) -> None:
+def _record(done: Drive, time_s: float, ego: EgoState, accel: float, steer: float, mode: str) -> None:
     done.time_s.append(time_s)
     done.station_m.append(ego.station_m)
     done.offset_m.append(ego.offset_m)
