@@ -30,6 +30,7 @@ class ThresholdSearch(WarmLedgerAlgorithm[ThresholdConfig, ThresholdState]):
         "Thresholds: the value of a parameter at which a drive turns from safe to unsafe, with an interval."
     )
     config_type = ThresholdConfig
+    layout = 2
 
     def _min_budget(self, space: SearchSpace, config: ThresholdConfig) -> int:
         if not is_available():
