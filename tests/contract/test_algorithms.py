@@ -128,8 +128,9 @@ LONG = [
     *itertools.product(
         ("mumoea@1", "mosat@1", EDGE, THRESHOLDS, NEAREST, "deepjanus@1", "straddle@1", "bsv@1"), ("traffic",)
     ),
-    (EDGE, "mixed"),
-    (EDGE, "errors"),
+    *itertools.product((EDGE, THRESHOLDS, SHARPEN), ("traffic within an ODD",)),
+    *itertools.product((EDGE,), ("mixed", "errors", "numeric")),
+    (SHARPEN, "traffic"),
 ]
 """Combinations that take seconds; NSGA-II, on which two of them build, and edge@1 on other spaces run every time."""
 

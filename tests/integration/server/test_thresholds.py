@@ -160,6 +160,7 @@ def test_the_command_prints_and_draws_it(
     assert "expected a kind that has a picture (thresholds), got verdicts" in str(refused.exception)
 
 
+@pytest.mark.long("writes a whole report")
 def test_a_report_has_the_curves(client: httpx.Client, campaign: str, tmp_path: Path) -> None:
     page = tmp_path / "report.html"
     written = CliRunner().invoke(
