@@ -45,7 +45,9 @@ def test_the_how_to_page_runs_from_top_to_bottom(tmp_path: Path, monkeypatch: py
     for block in blocks:
         exec(compile(block, "use-brink-from-python.md", "exec"), names)
     assert len(names["result"].pairs()) == 8, "as the page says"
-    assert len(names["found"].pairs()) == 5
+    thresholds = names["found"].findings("thresholds")
+    assert len(thresholds) == 18, "as the page says"
+    assert thresholds["held"][0] == "held: distance 21.31 m, road wet"
     assert names["study"].finished
 
 

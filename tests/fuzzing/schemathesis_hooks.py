@@ -51,6 +51,10 @@ def before_call(context: Any, case: Any, **_: Any) -> None:
         body.pop("repeats", None)
         body |= {"kind": "confirm", "eps": 1.0, "d_th": 0.0, "limit": 1}
         case.path_parameters["campaign_id"] = KNOWN["campaigns"][0]
+    if case.path.endswith("/thresholds/follow-ups") and body and _rng.random() < SHARE:
+        body.pop("repeats", None)
+        body |= {"kind": "confirm", "limit": 1}
+        case.path_parameters["campaign_id"] = KNOWN["thresholds"][0]
 
 
 def _ask_for_tolerances(case: Any, body: dict[str, Any]) -> None:

@@ -46,6 +46,9 @@ def fill(client: httpx.Client) -> dict[str, list[Any]]:
     tolerances = finished_drives(client, body(1, 100, **cells))
     fresh = finished_drives(client, body(2, 60, **cells, design="random"))
     drives = finished_drives(client, camera())
+    lines = {"id": "edge@2", "params": {"trials": 0, "in_flight": 1}}  # the ball leaves nothing to chance
+    thresholds = submit(client, ball(simulations=80, algorithm=lines, execution={"keep_traces": 0}))
+    assert FakeWorker(client).work(thresholds)["status"] == "finished"
     running = submit(client, ball(seed=2, execution={"cache": False}))
     leases, retried = _worked_on(client)
     nobodys: dict[str, Any] = {"problem": {"id": "ball@1", "params": {"needs": "nobody-has-it@1"}}}
@@ -70,6 +73,7 @@ def fill(client: httpx.Client) -> dict[str, list[Any]]:
         "numbers": [0, 1, 2, 3, 19],
         "jobs": [*retried, *(lease["job"] for lease in leases)],
         "leases": leases,
+        "thresholds": [thresholds],
         "tolerances": [{"campaign": tolerances, "fresh": fresh, "episodes": drives}],
         "violations": [_place(one, traffic) for one in violations],
         "traced": [{"campaign_id": traffic, "number": drawn}, {"campaign_id": unrunnable, "number": 1}],

@@ -339,9 +339,9 @@ def held(problem: Problem, safe: SimulatedSolution, unsafe: SimulatedSolution, u
     if not problem.words(safe.vectors):
         return _listed(problem, safe, unit)
     one, other = (_PARTS.findall(describe_candidate(problem, side.vectors)) for side in (safe, unsafe))
-    blocks = SequenceMatcher(None, one, other, autojunk=False).get_matching_blocks()
-    shared = ["".join(one[block.a : block.a + block.size]) for block in blocks]
-    clauses = ("…".join(filter(None, shared)) if shared else "").split("; ")
+    changes = SequenceMatcher(None, one, other, autojunk=False).get_opcodes()
+    shared = ("".join(one[start:end]) if change == "equal" else "…" for change, start, end, _, _ in changes)
+    clauses = "".join(shared).split("; ")
     return "; ".join(filter(None, map(_without_bare_values, clauses)))
 
 
