@@ -85,7 +85,7 @@ def _ends_a_campaign(case: Any) -> bool:
 def _would_end_a_needed_one(case: Any) -> bool:
     """Return whether a made-up id is a prefix of an id that other requests need."""
     made_up = str(case.path_parameters.get("campaign_id", case.path_parameters.get("experiment_id", "?")))
-    needed = [*KNOWN["campaigns"], *KNOWN["experiments"]]
+    needed = [*KNOWN["campaigns"], *KNOWN["thresholds"], *KNOWN["experiments"]]
     return _ends_a_campaign(case) and any(name.startswith(made_up) for name in needed)
 
 

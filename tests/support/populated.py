@@ -46,8 +46,8 @@ def fill(client: httpx.Client) -> dict[str, list[Any]]:
     tolerances = finished_drives(client, body(1, 100, **cells))
     fresh = finished_drives(client, body(2, 60, **cells, design="random"))
     drives = finished_drives(client, camera())
-    lines = {"id": "edge@2", "params": {"trials": 0, "in_flight": 1}}  # the ball leaves nothing to chance
-    thresholds = submit(client, ball(simulations=80, algorithm=lines, execution={"keep_traces": 0}))
+    lines: dict[str, Any] = {"algorithm": {"id": "edge@2"}, "execution": {"keep_traces": 0}}
+    thresholds = submit(client, ball(simulations=200, **lines))
     assert FakeWorker(client).work(thresholds)["status"] == "finished"
     running = submit(client, ball(seed=2, execution={"cache": False}))
     leases, retried = _worked_on(client)
