@@ -129,7 +129,7 @@ class End:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimated:
-    """A threshold of a run; values are those of the number that is read.
+    """A threshold found in a run. Its values are in the unit of the number that changes.
 
     Attributes:
         name: The number, as component.parameter.

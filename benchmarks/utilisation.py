@@ -75,7 +75,7 @@ SPACE: Final = SearchSpace(
 
 
 def drive(candidate: Candidate) -> Scored:
-    """Evaluate a drive: it is unsafe if an error is severer than the scenario, its onset and chance allow.
+    """Evaluate a drive: it is unsafe if an error is more severe than scenario, onset and chance allow.
 
     Along the severity, the probability of a violation is a logistic function with a stretch of `STRETCH`.
     """

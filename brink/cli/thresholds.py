@@ -30,6 +30,7 @@ from brink.report.thresholds import draw_thresholds
 from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, question_of
 from brink.server.findings.finding import Finding
 from brink.server.findings.follow_ups import FollowUpView
+from brink.server.findings.thresholds.views import ThresholdsView
 
 SHOWN = 20
 
@@ -103,6 +104,6 @@ def thresholds(
 async def _ask(api: Api, campaign: str, request: dict[str, Any]) -> FollowUpView | None:
     """Start a follow-up, or return an identical one; None if the campaign has no threshold."""
     finding = await api.read(Finding, f"/campaigns/{campaign}/findings/thresholds", {"rows": 1})
-    if not any(term.term != "0" for term in finding.figures[:1]):
+    if finding.view is None or not ThresholdsView.model_validate(finding.view).kinds:
         return None  # the finding says why
     return await api.send(FollowUpView, f"/campaigns/{campaign}/thresholds/follow-ups", request)

@@ -202,7 +202,7 @@ class NpcActions(SimulatedProblem):
         return type(self)(replace(self.params, sight="oracle"))
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return errors in the name of the driving system, and in the name or file of the detector."""
+        """Return what is wrong with the driving system's name, and with the detector's name or file."""
         detector = [] if self.params.sight == "oracle" else wrong_detector(self.params.detector)
         return [*wrong_driving(self.params.driving), *detector]
 

@@ -64,7 +64,7 @@ class UrbanScenarios(SimulatedProblem):
         self.about_component = (type(self).about_component + about_driving(params.driving)).strip()
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return errors in the name of the driving system."""
+        """Return what is wrong with the name of the driving system."""
         return wrong_driving(self.params.driving)
 
     def behaviour(self, seed: int) -> Mapping[str, Json]:
@@ -115,7 +115,7 @@ class UrbanCamera(UrbanScenarios):
         self.measured_detector = params.detector
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return errors in the name of the driving system, and in the name or file of the detector."""
+        """Return what is wrong with the driving system's name, and with the detector's name or file."""
         return [*super().wrong_inputs(), *wrong_detector(self.params.detector)]
 
     def behaviour(self, seed: int) -> Mapping[str, Json]:

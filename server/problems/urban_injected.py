@@ -233,7 +233,7 @@ class UrbanInjected(SlottedBehaviour):
         self.about_component = (type(self).about_component + about_driving(params.driving)).strip()
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return errors in the name of the driving system."""
+        """Return what is wrong with the name of the driving system."""
         return wrong_driving(self.params.driving)
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:

@@ -67,7 +67,7 @@ class BoxTracking:
         return self._tracker.update(seen_s, self._localiser.locate(self._pose_at(seen_s), boxes))
 
     def _pose_at(self, time_s: float) -> EgoState:
-        """Return the ego's state in the latest step at or before a time, or the oldest that is remembered."""
+        """Return the ego's state at a time: that of the last step up to then, or the oldest one in memory."""
         for step_s, state in reversed(self._poses):
             if step_s <= time_s + 1e-9:
                 return state

@@ -91,7 +91,8 @@ class Plan:
 def planned(state: ThresholdState) -> ThresholdState:
     """Return the state with the next generation queued if there is room in flight, as budget and space allow.
 
-    There is room as long as a full generation fits. Those of hunts are often smaller, so there may be more of them.
+    `in_flight` limits the candidates in flight, as if all generations were full. Those of hunts are often smaller, so
+    more than `in_flight` generations may be under way.
     """
     ledger, config = state.ledger, state.config
     if ledger.in_flight > config.generation_size * (config.in_flight - 1) or ledger.left <= 0:

@@ -246,7 +246,10 @@ def line_of(hunt: Hunt, parts: Parts, simulated: Simulated) -> Line:
 
 
 def far_row(hunt: Hunt, parts: Parts, simulated: Simulated) -> FloatArray | None:
-    """Return the end of the unit's range beyond the unsafe end; None for several numbers, or if it is not far."""
+    """Return the unsafe end moved to the limit of its range, to look for a window.
+
+    None if the limit is not far away, or if several numbers move together.
+    """
     unit = parts.units[hunt.unit]
     if len(unit) > 1:
         return None

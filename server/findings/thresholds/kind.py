@@ -256,7 +256,7 @@ def _blamed(asked: Sequence[ThresholdView]) -> int:
 
 
 def _blame(view: ThresholdsView) -> str:
-    """Return for how many thresholds the component is to blame; empty if nothing can tell."""
+    """Say how many thresholds are the component's hazard; empty if there is no component or no threshold."""
     thresholds = [one for one in view.thresholds if one.outcome is Outcome.THRESHOLD]
     if not view.has_component or not thresholds:
         return ""
