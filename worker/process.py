@@ -24,6 +24,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from brink.sim.catalogue import PLUGINS_VARIABLE
 from brink.sim.episode import EpisodeResult, JsonObject, Verdict
+from brink.sim.programs import OutputTail, exit_words
 from brink.worker.child_protocol import (
     EpisodeReply,
     FrameBuffer,
@@ -51,11 +52,7 @@ ONE_THREAD: Final = dict.fromkeys(
 )
 """One thread per episode: a machine runs one worker per core, and sums must not depend on the number of threads."""
 
-_PRINTED_BYTES = 4096
-"""How much of the simulator's output is kept for the message of a failed job."""
-
 _READ_BYTES = 1 << 16
-_READS_PER_DRAIN = 16
 _LIVENESS_S = 1.0
 _STACK_S = 0.3
 _STACK_PAUSE_S = 0.02
@@ -380,7 +377,7 @@ class _Child:
                 os.close(fd)
         for fd in (self._requests, self._replies, output):
             os.set_blocking(fd, False)
-        self.output = _OutputTail(output)
+        self.output = OutputTail(output)
         self.reaped = False
         self._frames = FrameBuffer()
         self._unsent = bytearray()
@@ -458,7 +455,7 @@ class _Child:
             self.popen.wait()
             self.reaped = True
             self.output.drain()
-        return _describe_exit(self.popen.returncode)
+        return exit_words(self.popen.returncode)
 
     def close(self) -> None:
         """Close the pipes of a reaped process."""
@@ -493,44 +490,6 @@ class _Child:
         return False
 
 
-class _OutputTail:
-    """Drains the non-blocking pipe of standard output and error, and keeps the end of the text.
-
-    Attributes:
-        fd: Read end of the pipe.
-    """
-
-    __slots__ = ("_tail", "fd")
-
-    def __init__(self, fd: int) -> None:
-        self.fd = fd
-        self._tail = b""
-
-    def drain(self) -> bool:
-        """Read what is available; return False once the pipe has ended."""
-        try:
-            # Bounded, since a simulator may print faster than this reads.
-            for _ in range(_READS_PER_DRAIN):
-                data = os.read(self.fd, _READ_BYTES)
-                if not data:
-                    return False
-                if log.isEnabledFor(logging.DEBUG):
-                    log.debug("simulator: %s", data.decode(errors="replace").rstrip())
-                self._tail = (self._tail + data)[-_PRINTED_BYTES:]
-        except BlockingIOError:
-            return True
-        return True
-
-    def clear(self) -> None:
-        """Discard the output so far: it belongs to an episode that has replied."""
-        self.drain()
-        self._tail = b""
-
-    def text(self) -> str:
-        """Return the end of the output."""
-        return self._tail.decode(errors="replace")
-
-
 def _environment(plugins: tuple[str, ...]) -> dict[str, str]:
     environment = {name: value for name, value in os.environ.items() if name != TOKEN_VARIABLE}
     modules = [*filter(None, environment.get(PLUGINS_VARIABLE, "").split(",")), *plugins]
@@ -541,14 +500,3 @@ def _environment(plugins: tuple[str, ...]) -> dict[str, str]:
         # Unbuffered: what a simulator printed before it died must already be in the pipe.
         "PYTHONUNBUFFERED": "1",
     }
-
-
-def _describe_exit(returncode: int) -> str:
-    if returncode >= 0:
-        return f"exited with status {returncode}"
-    try:
-        name = signal.Signals(-returncode).name
-    except ValueError:
-        name = f"signal {-returncode}"
-    hint = " (by the system when memory runs out, or by hand)" if name == "SIGKILL" else ""
-    return f"was killed by {name}{hint}"
