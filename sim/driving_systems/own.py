@@ -1,15 +1,16 @@
 """Brink's own driving system, `modular@1`, behind the interface for all of them."""
 
-from typing import ClassVar
+from typing import ClassVar, Final
 
-from brink.sim.driving.interface import Observation, PerceivedObstacle
-from brink.sim.driving.system import ModularDriving
+from brink.sim.driving.interface import Observation
 from brink.sim.driving_systems.interface import Decision, Needs, Start
 from brink.sim.errors import InvalidEpisode
 
+LEAVES_ALL: Final = Decision()
+
 
 class OwnSystem:
-    """Implements `brink.sim.driving_systems.DrivingSystem` with `ModularDriving`.
+    """Leaves everything out of its decisions, so that the seam fills in what Brink's own driving system decides.
 
     Args:
         start: The start of the drive, without settings.
@@ -25,22 +26,7 @@ class OwnSystem:
             raise InvalidEpisode(
                 f"driving_settings: Brink's own driving system has none, got {start.settings}"
             )
-        self._driving = ModularDriving(start.route, camera=start.camera)
 
     def step(self, observation: Observation) -> Decision:
         """Decide what the ego does until the next control step."""
-        driving = self._driving
-        command = driving.step(observation)
-        mode, target_speed_mps, target_offset_m = driving.plan
-        return Decision(
-            accel_mps2=command.accel_mps2,
-            steer_rad=command.steer_rad,
-            mode=mode,
-            target_speed_mps=target_speed_mps,
-            target_offset_m=target_offset_m,
-        )
-
-    @property
-    def believed_objects(self) -> tuple[PerceivedObstacle, ...]:
-        """The confirmed tracks, in the world."""
-        return self._driving.obstacles
+        return LEAVES_ALL

@@ -32,6 +32,7 @@ from brink.sim.driving_systems.interface import (
     TrajectoryPoint,
 )
 from brink.sim.driving_systems.motion import pedal_accel, tracking_command, wheel_steer
+from brink.sim.driving_systems.own import LEAVES_ALL
 from brink.sim.errors import DrivingSystemFailed, InvalidEpisode
 
 NEEDS: Final[tuple[str, ...]] = get_args(Needs)
@@ -108,7 +109,11 @@ class SystemUnderTest:
             decision = self._system.step(given)
         except (Exception, SystemExit) as error:  # noqa: BLE001  (foreign code; its error becomes ours)
             self._raise(self._when(observation), error)
-        command = self._command(observation, decision)
+        if decision is LEAVES_ALL:
+            self._filled = True
+            command = self._own_command(observation)
+        else:
+            command = self._command(observation, decision)
         self._observation, self._decision = observation, decision
         return command
 

@@ -253,35 +253,37 @@ class EgoCar:
     def _drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
         """Drive with a command that takes effect now."""
         m = self.model
+        engine_mps2, wheelbase_m = m.engine_mps2, m.wheelbase_m
+        brake_lag_s, engine_lag_s = m.brake_lag_s, m.engine_lag_s
         sqrt, cos, sin, tan = math.sqrt, math.cos, math.sin, math.tan
         x, y, yaw, v = self.x_m, self.y_m, self.yaw_rad, self.speed_mps
         drive, accel, steer, yaw_rate = self._drive_mps2, self.accel_mps2, self.steer_rad, self.yaw_rate_radps
         steer_goal = min(max(steer_rad, -m.steer_limit_rad), m.steer_limit_rad)
         turn_most = m.steer_rate_radps * PHYSICS_STEP_S
         half_load = 0.5 * GRAVITY_MPS2
-        transfer = m.gravity_height_m / m.wheelbase_m
+        transfer = m.gravity_height_m / wheelbase_m
         friction, brakes = self._friction, -m.brake_mps2
         most_braking = -m.brake_rate_mps3 * PHYSICS_STEP_S
-        slow_mps = m.power_w / (m.mass_kg * m.engine_mps2)
+        slow_mps = m.power_w / (m.mass_kg * engine_mps2)
         for _ in range(steps):
             # Comparisons instead of min and max: this loop runs 3,000 times per episode.
             turn = steer_goal - steer
             steer += turn if -turn_most < turn < turn_most else (turn_most if turn > 0.0 else -turn_most)
-            top = m.engine_mps2
+            top = engine_mps2
             if v > slow_mps:
                 top = m.power_w / (m.mass_kg * v)
             goal = top if accel_mps2 > top else brakes if accel_mps2 < brakes else accel_mps2
             if goal < drive:
-                change = (goal - drive) * PHYSICS_STEP_S / m.brake_lag_s
+                change = (goal - drive) * PHYSICS_STEP_S / brake_lag_s
                 drive += change if change > most_braking else most_braking
             else:
-                lag_s = m.brake_lag_s if drive < 0.0 else m.engine_lag_s
+                lag_s = brake_lag_s if drive < 0.0 else engine_lag_s
                 drive += (goal - drive) * PHYSICS_STEP_S / lag_s
             # Per unit of mass, an axle's grip is friction times its share of gravity.
             shift = transfer * accel
             grip_front = friction * (half_load - shift)
             grip_rear = friction * (half_load + shift)
-            wanted_rate = v * tan(steer) / m.wheelbase_m
+            wanted_rate = v * tan(steer) / wheelbase_m
             side = wanted_rate * v
             most_side = 2.0 * (grip_front if grip_front < grip_rear else grip_rear)
             if side > most_side:
@@ -308,7 +310,7 @@ class EgoCar:
             # Without slip, the centre of the wheelbase moves at an angle to the heading.
             course = yaw + 0.5 * yaw_rate * PHYSICS_STEP_S
             if v > 0.1:
-                course += 0.5 * m.wheelbase_m * yaw_rate / v
+                course += 0.5 * wheelbase_m * yaw_rate / v
             x += middle * cos(course) * PHYSICS_STEP_S
             y += middle * sin(course) * PHYSICS_STEP_S
             yaw += yaw_rate * PHYSICS_STEP_S

@@ -41,6 +41,8 @@ NEEDED_RED_S = 4.0
 """Pedestrians start across a crossing with lights only if the road stays red for at least this long."""
 
 _STANDS_BELOW_MPS = 1e-6
+_MOST_MPS = WALK_ACCEL_MPS2 * WALKER_STEP_S
+"""Largest change of speed in a step."""
 
 
 class Phase(IntEnum):
@@ -235,17 +237,18 @@ class Walker:
 
     def move(self) -> None:
         """Advance by `WALKER_STEP_S`."""
-        to_kerb_m = math.inf
+        to_kerb_m, wanted_mps = math.inf, self._wanted_mps
         if self.phase is Phase.TO_KERB:
             to_kerb_m = max(abs(self.offset_m) - self.kerb_m - KERB_SETBACK_M, 0.0)
-        most_mps = WALK_ACCEL_MPS2 * WALKER_STEP_S
-        change_mps = min(self._wanted_mps, _stopping_within_mps(to_kerb_m)) - self.speed_mps
-        self.speed_mps += min(max(change_mps, -most_mps), most_mps)
+            wanted_mps = min(wanted_mps, _stopping_within_mps(to_kerb_m))
+        change_mps = wanted_mps - self.speed_mps
+        if change_mps != 0.0:
+            self.speed_mps += min(max(change_mps, -_MOST_MPS), _MOST_MPS)
         if self.phase is Phase.TO_KERB and self.speed_mps < _STANDS_BELOW_MPS:
             self.phase = Phase.WAITING
             self.speed_mps = self._wanted_mps = 0.0
         step_m = self.speed_mps * WALKER_STEP_S
-        if self.speed_mps <= most_mps:
+        if self.speed_mps <= _MOST_MPS:
             step_m = min(step_m, to_kerb_m)
         if step_m == 0.0:
             return
@@ -260,8 +263,6 @@ class Walker:
 
 def _stopping_within_mps(to_go_m: float) -> float:
     """Return the speed of the next step after which a walker who brakes in all further steps stops in time."""
-    if math.isinf(to_go_m):
-        return math.inf
     half_step_s = 0.5 * WALKER_STEP_S
     return WALK_ACCEL_MPS2 * (math.sqrt(half_step_s**2 + 2.0 * to_go_m / WALK_ACCEL_MPS2) - half_step_s)
 

@@ -20,6 +20,7 @@ SIDE_CLEARANCE_M = 0.35
 CORNERING_MPS2 = 1.9
 COMFORT_MPS2 = 1.6
 ACCEL_MPS2 = 1.6
+_CLOSING_MPS2 = 2.0 * math.sqrt(ACCEL_MPS2 * COMFORT_MPS2)
 STANDSTILL_GAP_M = 2.2
 EMERGENCY_MPS2 = 6.5
 BRAKE_LIGHTS_FROM_MPS2: Final = 0.7
@@ -270,7 +271,8 @@ class Vehicle:
                 wanted *= share
         station_m = self.station_m
         wanted = self._wanted_before_bends(wanted)
-        squared = (speed / wanted) * (speed / wanted) if wanted > 0.1 else math.inf
+        share = speed / wanted if wanted > 0.1 else math.inf
+        squared = share * share
         accel = ACCEL_MPS2 * (1.0 - squared * squared)
         if accel < -style.braking_mps2:
             accel = -style.braking_mps2
@@ -311,9 +313,7 @@ def _follow(speed: float, ahead_speed: float, gap_m: float, headway_s: float, st
     """Return the acceleration behind an obstacle: the model's interaction term, without the free-road term."""
     if gap_m <= 0.05:
         return -EMERGENCY_MPS2
-    wanted_m = standstill_m + max(
-        speed * headway_s + speed * (speed - ahead_speed) / (2.0 * math.sqrt(ACCEL_MPS2 * COMFORT_MPS2)), 0.0
-    )
+    wanted_m = standstill_m + max(speed * headway_s + speed * (speed - ahead_speed) / _CLOSING_MPS2, 0.0)
     ratio = wanted_m / gap_m
     return ACCEL_MPS2 * (1.0 - ratio * ratio)
 
