@@ -140,7 +140,7 @@ def limit_words(parameter: Parameter) -> str:
 
 
 def _number_words(parameter: Number) -> str:
-    least, most = parameter.least, parameter.most
+    least, most = parameter.ends
     numbers = f"{least:g}" if least == most else f"{least:g} to {most:g}"
     return f"{numbers} {parameter.unit}".rstrip()
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from brink.search.features import Unit, units_of
 from brink.search.metric import Metric
-from brink.search.space import Categorical, FloatArray, IntArray, Real, SearchSpace, frozen_array
+from brink.search.space import Categorical, FloatArray, IntArray, SearchSpace, frozen_array
 
 _WITHIN: Final = 1 - 1e-9
 """Keeps a distance of eps from exceeding it by rounding."""
@@ -99,9 +99,9 @@ class Steps:
         """
         parameters = self.space.parameters
         steps = [
-            share if isinstance(p, Categorical) else share / p.range
+            share if isinstance(p, Categorical) else share * p.spacing / p.range
             for p, share in zip(parameters, self._share.tolist(), strict=True)
-            if not isinstance(p, Real)
+            if isinstance(p, Categorical) or p.spacing
         ]
         widest = max((len(unit) for unit in self.units), default=1)
         return float(max([eps, *(widest * step for step in steps)]))

@@ -1,7 +1,8 @@
 """Parameters of a search space and the constraints between them.
 
-A parameter's value in a vector is one float64: the number itself, or the index of the choice. NaN stands for
-"no value yet"; repair draws a fresh one.
+A parameter's value in a vector is one float64: the number itself, its natural logarithm on a log scale, or the index
+of the choice. So whatever measures, moves or halves vectors respects the scale. NaN stands for "no value yet"; repair
+draws a fresh one.
 
 A constraint ties several parameters together, checks them, and repairs vectors that violate it. Each number belongs
 to at most one constraint, so repairing one constraint never violates another. `Dormant` is the exception: it switches
@@ -16,9 +17,11 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from decimal import Decimal
 from typing import Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from brink.search.errors import SpaceError
 
@@ -38,6 +41,12 @@ DEFAULT_SIGMA_SHARE = 0.1
 
 DEFAULT_RESOLUTION_SHARE = 0.01
 """Resolution of a number whose problem states none, as a share of its range; at least 1 for an integer."""
+
+_ROUNDING = 1e-9
+"""How far a given value may lie beside a step, as a share of it."""
+_LOG_DIGITS = 11
+"""Significant digits of values on a log scale."""
+_LARGEST_LOGARITHM = math.log(1.7e308)
 
 MAX_CHOICES = 2**15 - 1
 MAX_INTEGER = 2**53
@@ -66,6 +75,17 @@ def check_name(what: str, name: object) -> None:
         raise SpaceError(
             f"{what}: expected a name of letters, digits, '_', '-' and '.', starting with a letter, got {name!r}"
         )
+
+
+def _decimals(*numbers: float) -> int:
+    """Return the decimal places in which all of the numbers are written."""
+    exponents = [Decimal(repr(float(number))).as_tuple().exponent for number in numbers]
+    return max(0, *(-exponent for exponent in exponents if isinstance(exponent, int)))
+
+
+def _of_logarithm(value: float) -> float:
+    """Return the number with a natural logarithm, in as many digits as survive the way there and back."""
+    return float(f"{math.exp(min(value, _LARGEST_LOGARITHM)):.{_LOG_DIGITS}g}")
 
 
 def _of_odd(bounds: tuple[float, float] | None) -> str:
@@ -107,12 +127,17 @@ class Number:
         low: Smallest value.
         high: Largest value, > low.
         unit: ``px``, ``m/s``, …; empty for a dimensionless number.
-        sigma: Standard deviation of the Gaussian mutation, before rounding; defaults to a tenth of the range.
+        sigma: Standard deviation of the Gaussian mutation as stored, before rounding; by default a tenth of the
+            range.
+        step: The values are `low` and those whole numbers of steps above it, up to `high`, which is one of them; None
+            for every value in between.
+        log: Whether the scale is logarithmic: equal factors count the same, and vectors hold natural logarithms.
         title: Display name; empty for the full name in words.
         bounds: Smallest and largest value within an operational design domain (ODD); both are the same for a fixed
             number. None without an ODD. Distances and pictures keep the whole range.
         resolution: Largest difference that people would call the same, such as 0.1 s, in the number's own unit, or
-            one for each choice of another parameter; None if unstated, see `resolution_at`.
+            one for each choice of another parameter; on a log scale a factor, such as 1.05. None if unstated, see
+            `resolution_at`.
     """
 
     name: str
@@ -120,6 +145,8 @@ class Number:
     high: float
     unit: str = ""
     sigma: float | None = None
+    step: float | None = field(default=None, kw_only=True)
+    log: bool = field(default=False, kw_only=True)
     title: str = field(default="", compare=False, repr=False, kw_only=True)
     bounds: tuple[float, float] | None = field(default=None, repr=False, kw_only=True)
     resolution: float | ResolutionByChoice | None = field(
@@ -127,7 +154,6 @@ class Number:
     )
     _type: ClassVar[str]
     _least_sigma: ClassVar[float] = 0.0
-    _least_resolution: ClassVar[float] = 0.0
 
     def __post_init__(self) -> None:
         check_name("parameter", self.name)
@@ -142,8 +168,49 @@ class Number:
             raise SpaceError(f"{self.name}: expected sigma > 0, got {self.sigma!r}")
         if self.bounds is not None and not low <= self.bounds[0] <= self.bounds[1] <= high:
             raise SpaceError(f"{self.name}: expected bounds in [{low:g}, {high:g}], got {self.bounds!r}")
+        self._check_scale()
         if isinstance(self.resolution, int | float):
             _check_resolution(self.name, self.resolution)
+
+    def _check_scale(self) -> None:
+        if self.step is not None:
+            if self.log:
+                raise SpaceError(f"{self.name}: expected a step or a log scale, got both")
+            if not (math.isfinite(self.step) and 0 < self.step <= self.high - self.low):
+                raise SpaceError(f"{self.name}: expected a step > 0 within the range, got {self.step!r}")
+            steps = round((self.high - self.low) / self.step)
+            if steps > MAX_INTEGER or self.on_step(steps) != self.high:
+                low, high = self.on_step(steps - 1), self.on_step(steps)
+                raise SpaceError(
+                    f"{self.name}: expected a whole number of steps of {self.step:g} from {self.low:g} to the "
+                    f"largest value, such as {low:g} or {high:g}, got {self.high:g}"
+                )
+        elif self.log and (self.low <= 0 or isinstance(self, Integer)):
+            raise SpaceError(
+                f"{self.name}: expected a real number > 0 for a log scale, got {self._type} from {self.low!r}"
+            )
+        if self.log and isinstance(self.resolution, int | float) and not self.resolution > 1:
+            raise SpaceError(
+                f"{self.name}: expected a factor > 1 as resolution on a log scale, got {self.resolution!r}"
+            )
+
+    def on_step(self, steps: int) -> float:
+        """Return the number that many steps above `low`, with as many decimal places as these two have."""
+        assert self.step is not None
+        return round(self.low + steps * self.step, _decimals(self.low, self.step))
+
+    def stored(self, value: float) -> float:
+        """Return the form of a number in vectors, on the nearest step or with the digits that a log scale keeps."""
+        return self.rounded(math.log(value) if self.log else value)
+
+    def shown(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the numbers that stored values stand for, in their unit; any shape."""
+        return np.vectorize(_of_logarithm, otypes=[np.float64])(values) if self.log else values
+
+    @property
+    def spacing(self) -> float:
+        """Distance between neighbouring values; 0 if there are values between any two."""
+        return 0.0 if self.step is None else self.step
 
     def stated_resolution(self, choice: str | None) -> float | None:
         """Return the stated resolution; None if there is none.
@@ -156,42 +223,71 @@ class Number:
         return self.resolution
 
     def resolution_at(self, choice: str | None) -> float:
-        """Return the stated resolution, by default 1% of the range; that of an integer is at least 1.
+        """Return the stated resolution as stored, by default 1% of the range; at least a step, 1 for an integer.
 
         Args:
             choice: As for `stated_resolution`.
         """
         stated = self.stated_resolution(choice)
-        return max(
-            DEFAULT_RESOLUTION_SHARE * self.range if stated is None else stated, self._least_resolution
-        )
+        if stated is None:
+            return max(DEFAULT_RESOLUTION_SHARE * self.range, self.spacing)
+        return max(math.log(stated) if self.log else stated, self.spacing)
 
     @property
     def range(self) -> float:
-        """Width of the whole range, by which distances are normalised, whatever the ODD."""
+        """Width of the whole range as stored, by which distances are normalised, whatever the ODD."""
+        if self.log:
+            return self.stored(self.high) - self.stored(self.low)
         return float(self.high - self.low)
 
     @property
+    def ends(self) -> tuple[float, float]:
+        """Smallest and largest number within the ODD, in its unit."""
+        return (self.low, self.high) if self.bounds is None else self.bounds
+
+    @property
     def least(self) -> float:
-        """Smallest value within the ODD."""
+        """Smallest stored value within the ODD."""
+        if self.log:
+            return self.stored(self.ends[0])
         return self.low if self.bounds is None else self.bounds[0]
 
     @property
     def most(self) -> float:
-        """Largest value within the ODD."""
+        """Largest stored value within the ODD."""
+        if self.log:
+            return self.stored(self.ends[1])
         return self.high if self.bounds is None else self.bounds[1]
 
     @property
     def mutation_sigma(self) -> float:
         """Standard deviation of the Gaussian mutation; an ODD reduces it in proportion, to 0 for a fixed number."""
         sigma = DEFAULT_SIGMA_SHARE * self.range if self.sigma is None else self.sigma
+        if self.step is not None:  # rounding would undo most of the steps of a smaller one
+            sigma = max(sigma, 0.5 * self.step)
         if self.bounds is None:
             return sigma
         share = (self.most - self.least) / self.range
-        return max(share * sigma, min(self._least_sigma, sigma)) if share else 0.0
+        return (
+            max(share * sigma, min(max(self._least_sigma, 0.5 * (self.step or 0.0)), sigma)) if share else 0.0
+        )
+
+    def _nearest_step(self, value: float) -> float:
+        assert self.step is not None
+        steps = (min(max(value, self.low), self.high) - self.low) / self.step
+        return float(self.on_step(round(steps)))
+
+    def _drawn_step(self, rng: np.random.Generator) -> float:
+        assert self.step is not None
+        first, last = (round((end - self.low) / self.step) for end in self.ends)
+        return float(self.on_step(int(rng.integers(first, last, endpoint=True))))
+
+    @property
+    def _in_steps(self) -> str:
+        return "" if self.step is None else f" in steps of {self.step:g}"
 
     def draw(self, rng: np.random.Generator) -> float:
-        """Draw a uniform value."""
+        """Draw a value, each of them as likely; on a log scale, each factor."""
         raise NotImplementedError
 
     def rounded(self, value: float) -> float:
@@ -222,6 +318,12 @@ class Number:
             number = float(value)
         except OverflowError:
             raise SpaceError(f"{self.name}: expected a number that a float can hold") from None
+        if self.log and number > 0:
+            number = self.stored(number)
+        elif self.log:
+            number = -math.inf
+        elif self.step is not None and abs(number - self.rounded(number)) <= _ROUNDING * self.step:
+            number = self.rounded(number)
         if problem := self.problem(number):
             raise SpaceError(f"{self.name}: {problem}")
         return number
@@ -238,6 +340,10 @@ class Number:
         """Return the parameter without an ODD."""
         return self if self.bounds is None else replace(self, bounds=None)
 
+    def _checked(self, value: object) -> float:
+        """Return a human-readable value as a number in its unit; see `encode`."""
+        return min(max(float(self.decode(self.encode(value))), self.low), self.high)
+
     def limited(self, limit: object) -> Self:
         """Return the parameter within an ODD.
 
@@ -252,20 +358,24 @@ class Number:
             unknown = [key for key in limit if key not in ("min", "max")]
             if unknown or not limit:
                 raise SpaceError(f"{self.name}: expected min, max or both, got {unknown or dict(limit)!r}")
-            least = whole.encode(limit["min"]) if "min" in limit else whole.low
-            most = whole.encode(limit["max"]) if "max" in limit else whole.high
+            least = whole._checked(limit["min"]) if "min" in limit else whole.low
+            most = whole._checked(limit["max"]) if "max" in limit else whole.high
             if least > most:
                 raise SpaceError(f"{self.name}: expected min <= max, got {least:g} and {most:g}")
         elif isinstance(limit, list | tuple | str):
             raise SpaceError(f"{self.name}: expected a number or {{min: …, max: …}}, got {limit!r}")
         else:
-            least = most = whole.encode(limit)
+            least = most = whole._checked(limit)
         everything = (least, most) == (whole.low, whole.high)
         return whole if everything else replace(whole, bounds=(least, most))
 
     def describe(self) -> dict[str, Any]:
         """Return name, type, range and unit as a JSON object, and an ODD and a resolution if there are any."""
         about = {"name": self.name, "type": self._type, "low": self.low, "high": self.high, "unit": self.unit}
+        if self.step is not None:
+            about |= {"step": self.step}
+        if self.log:
+            about |= {"log": True}
         if self.bounds is not None:
             about |= {"odd": self.odd}
         match self.resolution:
@@ -286,26 +396,36 @@ class Real(Number):
         Number.__post_init__(self)
         object.__setattr__(self, "low", float(self.low))
         object.__setattr__(self, "high", float(self.high))
+        if self.step is not None:
+            object.__setattr__(self, "step", float(self.step))
         if self.bounds is not None:
             object.__setattr__(self, "bounds", (float(self.bounds[0]), float(self.bounds[1])))
 
     def draw(self, rng: np.random.Generator) -> float:
         """Draw a uniform value."""
-        return min(float(rng.uniform(self.least, self.most)), self.most)
+        if self.step is not None:
+            return self._drawn_step(rng)
+        return self.rounded(min(float(rng.uniform(self.least, self.most)), self.most))
 
     def rounded(self, value: float) -> float:
-        """Return the number unchanged."""
-        return value
+        """Return the nearest number on a step, or that a log scale keeps; other numbers are unchanged."""
+        if math.isnan(value) or not (self.log or self.step):
+            return value
+        return math.log(_of_logarithm(value)) if self.log else self._nearest_step(value)
 
     def problem(self, value: float) -> str | None:
         """Return what is wrong with a stored value, or None."""
-        if self.least <= value <= self.most:
+        if self.least <= value <= self.most and value == self.rounded(value):
             return None
-        return f"expected a number in [{self.least:g}, {self.most:g}]{_of_odd(self.bounds)}, got {value!r}"
+        least, most = self.ends
+        got = _of_logarithm(value) if self.log else value
+        return (
+            f"expected a number in [{least:g}, {most:g}]{self._in_steps}{_of_odd(self.bounds)}, got {got!r}"
+        )
 
     def decode(self, value: float) -> Value:
         """Return the human-readable form of a stored value."""
-        return float(value)
+        return _of_logarithm(value) if self.log else float(value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,30 +436,43 @@ class Integer(Number):
     high: int
     _type: ClassVar[str] = "integer"
     _least_sigma: ClassVar[float] = 0.5  # rounding would undo most of the steps of a smaller one
-    _least_resolution: ClassVar[float] = 1.0
 
     def __post_init__(self) -> None:
         check_name("parameter", self.name)
         for bound in (self.low, self.high):
             if isinstance(bound, bool) or not isinstance(bound, int) or abs(bound) > MAX_INTEGER:
                 raise SpaceError(f"{self.name}: expected integer bounds within ±2**53, got {bound!r}")
+        if self.step is not None and not (isinstance(self.step, int) and not isinstance(self.step, bool)):
+            raise SpaceError(f"{self.name}: expected a whole number as step, got {self.step!r}")
+        if self.step == 1:
+            object.__setattr__(self, "step", None)
         Number.__post_init__(self)
         if self.bounds is not None:
             object.__setattr__(self, "bounds", (int(self.bounds[0]), int(self.bounds[1])))
 
     def draw(self, rng: np.random.Generator) -> float:
         """Draw a uniform value."""
+        if self.step is not None:
+            return self._drawn_step(rng)
         return float(rng.integers(int(self.least), int(self.most), endpoint=True))
 
     def rounded(self, value: float) -> float:
-        """Return the nearest integer, as a float."""
+        """Return the nearest integer on a step, as a float."""
+        if self.step is not None and not math.isnan(value):
+            return self._nearest_step(value)
         return float(np.rint(value))
+
+    @property
+    def spacing(self) -> float:
+        """Distance between neighbouring values."""
+        return float(self.step or 1)
 
     def problem(self, value: float) -> str | None:
         """Return what is wrong with a stored value, or None."""
-        if self.least <= value <= self.most and value == math.floor(value):
+        if self.least <= value <= self.most and value == self.rounded(value):
             return None
-        return f"expected a whole number in [{self.least}, {self.most}]{_of_odd(self.bounds)}, got {value!r}"
+        in_range = f"[{self.least}, {self.most}]{self._in_steps}{_of_odd(self.bounds)}"
+        return f"expected a whole number in {in_range}, got {value!r}"
 
     def decode(self, value: float) -> Value:
         """Return the human-readable form of a stored value."""

@@ -1,8 +1,10 @@
 """Search spaces as plain values: ``{"speed": (5.0, 30.0, "m/s"), "lanes": range(2, 5), "road": ["dry", "wet"]}``.
 
-A pair or triple is a real number's range with its unit; a fourth value is its resolution, the largest difference that
-people would call the same. A `range` a whole number's, a list of texts a choice. A space
-of several components has one such mapping for each. `space_from` reads what `SearchSpace.describe` returns.
+A pair is the range of a real number, and a third value its unit or its step; a fourth one is its resolution, the
+largest difference that people would call the same. A `range`, or three whole numbers, are an integer's, a list of
+texts a choice. A mapping names all of this, as in a campaign file: ``{"min": 1e-6, "max": 1, "log": True}``,
+``{"values": ["dry", "wet"]}``. A space of several components has one mapping of parameters for each. `space_from`
+reads what `SearchSpace.describe` returns.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,9 +20,12 @@ DeclaredSpace: TypeAlias = "SearchSpace | Sequence[Parameter] | Mapping[str, Any
 ONLY_COMPONENT: Final = "parameters"
 """Name of the component of a space that is written without components."""
 _EXPECTED: Final = (
-    "expected a range such as (0.0, 1.0), (5.0, 30.0, 'm/s') or (5.0, 30.0, 'm/s', 0.1), whole numbers such as "
-    "range(0, 5), or choices such as ['dry', 'wet']"
+    "expected a range such as (0.0, 1.0), (5.0, 30.0, 'm/s'), (0, 10, 0.1) in steps or (5.0, 30.0, 'm/s', 0.1) with "
+    "a resolution, whole numbers such as range(0, 5), choices such as ['dry', 'wet'], or a mapping such as "
+    "{'min': 1e-6, 'max': 1, 'log': True}"
 )
+_NAMED: Final = frozenset({"min", "max", "step", "log", "unit", "resolution", "title"})
+"""What the mapping of a number may name."""
 
 
 def space_of(declared: DeclaredSpace) -> SearchSpace:
@@ -37,7 +42,7 @@ def space_of(declared: DeclaredSpace) -> SearchSpace:
     if isinstance(declared, Mapping):
         if not declared:
             raise SpaceError("expected at least one parameter, got none")
-        parts = [isinstance(value, Mapping) for value in declared.values()]
+        parts = [isinstance(value, Mapping) and not _is_parameter(value) for value in declared.values()]
         if all(parts):
             return SearchSpace(tuple(_component(name, part) for name, part in declared.items()))
         if any(parts):
@@ -55,8 +60,16 @@ def _component(name: str, declared: Mapping[str, Any]) -> Component:
     return Component(name, tuple(_parameter(key, value) for key, value in declared.items()))
 
 
+def _is_parameter(declared: Mapping[str, Any]) -> bool:
+    """Return whether a mapping names the properties of a parameter, and not the parameters of a component."""
+    low, values = declared.get("min", declared.get("max")), declared.get("values")
+    return isinstance(low, int | float) or isinstance(values, list)
+
+
 def _parameter(name: str, declared: Any) -> Parameter:
     match declared:
+        case Mapping():
+            return _named_parameter(name, declared)
         case Real() | Integer() | Categorical():
             if declared.name != name:
                 raise SpaceError(
@@ -64,15 +77,17 @@ def _parameter(name: str, declared: Any) -> Parameter:
                 )
             return declared
         case range():
-            if declared.step != 1 or len(declared) < 2:
+            if declared.step < 1 or len(declared) < 2:
                 raise SpaceError(
-                    f"{name}: expected a range of at least two whole numbers in steps of 1, got {declared}"
+                    f"{name}: expected a range of at least two ascending numbers, got {declared}"
                 )
-            return Integer(name, declared.start, declared.stop - 1)
+            return Integer(name, declared[0], declared[-1], step=declared.step)
         case str():
             raise SpaceError(f"{name}: {_EXPECTED}; got {declared!r}")
         case [low, high] if _are_numbers(low, high):
             return Real(name, float(low), float(high))
+        case [low, high, step] if _are_numbers(low, high, step):
+            return _number(name, low, high, step=step)
         case [low, high, str(unit)] if _are_numbers(low, high):
             return Real(name, float(low), float(high), unit)
         case [low, high, str(unit), resolution] if _are_numbers(low, high, resolution):
@@ -80,6 +95,37 @@ def _parameter(name: str, declared: Any) -> Parameter:
         case [*choices] if choices and all(isinstance(choice, str) for choice in choices):
             return Categorical(name, tuple(choices))
     raise SpaceError(f"{name}: {_EXPECTED}; got {declared!r}")
+
+
+def _named_parameter(name: str, declared: Mapping[str, Any]) -> Parameter:
+    """Return the parameter whose properties a mapping names."""
+    if set(declared) == {"values"} and isinstance(values := declared["values"], list):
+        return Categorical(name, tuple(map(str, values)))
+    unknown = sorted(map(str, set(declared) - _NAMED))
+    if unknown or not {"min", "max"} <= set(declared):
+        known = ", ".join(sorted(_NAMED))
+        raise SpaceError(
+            f"{name}: expected values, or min and max and any of {known}; got {dict(declared)!r}"
+        )
+    low, high = declared["min"], declared["max"]
+    given = {key: value for key, value in declared.items() if key not in ("min", "max") and value is not None}
+    numbers = [low, high, *(given[key] for key in ("step", "resolution") if key in given)]
+    if not _are_numbers(*numbers) or not isinstance(given.get("log", False), bool):
+        raise SpaceError(
+            f"{name}: expected numbers as min, max, step and resolution, and true or false as log, "
+            f"got {dict(declared)!r}"
+        )
+    if not all(isinstance(given.get(key, ""), str) for key in ("unit", "title")):
+        raise SpaceError(f"{name}: expected unit and title as texts, got {dict(declared)!r}")
+    return _number(name, low, high, **given)
+
+
+def _number(name: str, low: float, high: float, **given: Any) -> Real | Integer:
+    """Return a real number, or an integer if its ends and its step are whole numbers."""
+    whole = all(isinstance(one, int) for one in (low, high, given.get("step")))
+    return (
+        Integer(name, int(low), int(high), **given) if whole else Real(name, float(low), float(high), **given)
+    )
 
 
 def _are_numbers(*values: object) -> bool:
@@ -119,6 +165,8 @@ def _described_parameter(described: Mapping[str, Any]) -> Parameter:
                 float(described["low"]),
                 float(described["high"]),
                 described.get("unit", ""),
+                step=described.get("step"),
+                log=described.get("log", False),
                 resolution=_described_resolution(described),
             )
         case "integer":
@@ -127,6 +175,7 @@ def _described_parameter(described: Mapping[str, Any]) -> Parameter:
                 described["low"],
                 described["high"],
                 described.get("unit", ""),
+                step=described.get("step"),
                 resolution=_described_resolution(described),
             )
         case "categorical":

@@ -129,6 +129,12 @@ class Component:
             twice = sorted({name for name in owners if owners.count(name) > 1})
             if twice:
                 raise SpaceError(f"component {self.name}: {twice[0]} belongs to more than one {what}")
+            for name in owners:
+                if isinstance(number := self.by_name[name], Number) and (number.step or number.log):
+                    raise SpaceError(
+                        f"component {self.name}: {name} belongs to a {what}, so it can have neither steps nor a log "
+                        "scale"
+                    )
 
     def _check_limits(
         self, blocks: tuple[Dormant, ...], rules: tuple[Constraint, ...]
@@ -263,11 +269,11 @@ class Component:
         size = 1.0
         for parameter in self.parameters:
             match parameter:
-                case Real():
+                case Real(step=None):
                     if parameter.least < parameter.most:
                         return float("inf")
-                case Integer():
-                    size *= parameter.most - parameter.least + 1
+                case Real() | Integer():
+                    size *= round((parameter.most - parameter.least) / parameter.spacing) + 1
                 case Categorical():
                     size *= len(parameter.codes)
         return size

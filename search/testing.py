@@ -95,12 +95,26 @@ def example_spaces() -> dict[str, SearchSpace]:
             participants_component("participants", 4, RoadLimits(streets_m=(30.0,))),
         )
     )
+    scales = SearchSpace(
+        (
+            Component(
+                "scenario",
+                (
+                    Real("gap", 0.0, 10.0, "m", step=0.1),
+                    Integer("cars", 0, 30, step=3),
+                    Categorical("road", ("a", "b")),
+                ),
+            ),
+            Component("behaviour", (Real("rate", 1e-6, 1.0, "1/s", log=True), Real("noise", 0.0, 1.0))),
+        )
+    )
     return {
         "mixed": mixed,
         "numeric": numeric,
         "categorical": categorical,
         "slots": slots,
         "traffic": traffic,
+        "scales": scales,
     }
 
 

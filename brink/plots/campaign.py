@@ -366,8 +366,12 @@ def _set_ticks(axes: Axes, column: ParameterColumn, dependence: Dependence) -> N
         axes.tick_params(axis="x", labelsize=SMALL_PT - 0.5, length=3)
     elif not isinstance(column.parameter, Categorical):
         low, high = column.parameter.low, column.parameter.high
-        axes.set_xlim(low - 0.03 * (high - low), high + 0.03 * (high - low))
-        axes.xaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 4, 5, 10]))
+        if column.parameter.log:
+            axes.set_xscale("log")
+            axes.set_xlim(low * (low / high) ** 0.03, high * (high / low) ** 0.03)
+        else:
+            axes.set_xlim(low - 0.03 * (high - low), high + 0.03 * (high - low))
+            axes.xaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 4, 5, 10]))
         axes.tick_params(axis="x", labelsize=SMALL_PT - 0.5, length=3)
 
 

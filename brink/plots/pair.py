@@ -237,7 +237,8 @@ def _plot_row(axes: Axes, place: int, title: str, parameter: Parameter, values: 
         words = [str(parameter.decode(value)).replace("_", " ") for value in values]
         ends = f"{len(parameter.choices)} choices"
     else:
-        spots = [(value - parameter.low) / parameter.range for value in values]
+        lowest = parameter.stored(parameter.low)
+        spots = [(value - lowest) / parameter.range for value in values]
         words = [f"{_number(parameter.decode(value))} {parameter.unit}".strip() for value in values]
         ends = f"{parameter.low:g} to {parameter.high:g}"
     for (colour, spot, word), up in zip(zip((SAFE, UNSAFE), spots, words, strict=True), (1, -1), strict=True):

@@ -102,6 +102,8 @@ def _legend(view: ThresholdsView) -> list[Line2D]:
 def _panel(axes: Axes, one: ThresholdView, *, computed: bool) -> None:
     style_axes(axes)
     low, high = _window(one)
+    if one.log:
+        axes.set_xscale("log")
     if one.outcome is Outcome.THRESHOLD and one.at_20 is not None and one.at_80 is not None:
         axes.axvspan(*sorted((one.at_20, one.at_80)), color=HAIRLINE, alpha=0.75, linewidth=0, zorder=0)
     curve = one.curve
@@ -173,11 +175,12 @@ def _dots(axes: Axes, dots: Sequence[DotView], width: float) -> None:
 
 def _window(one: ThresholdView) -> tuple[float, float]:
     """Return the part of the line that is shown: near the threshold if there is one, all of it otherwise."""
-    values = [dot.value for dot in one.dots] + [one.curve.value[0], one.curve.value[-1]]
+    along, back = (math.log, math.exp) if one.log else (float, float)
+    values = [along(value) for value in (*(dot.value for dot in one.dots), *one.curve.value)]
     low, high = min(values), max(values)
-    marks = [mark for mark in (one.at_20, one.at_80, one.low, one.high) if mark is not None]
+    marks = [along(mark) for mark in (one.at_20, one.at_80, one.low, one.high) if mark is not None]
     if one.outcome is Outcome.THRESHOLD and marks:
-        width = max(max(marks) - min(marks), 4 * one.resolution)
+        width = max(max(marks) - min(marks), 4 * along(one.resolution))
         low, high = max(low, min(marks) - _MARGIN * width), min(high, max(marks) + _MARGIN * width)
     edge = 0.03 * (high - low or 1.0)
-    return low - edge, high + edge
+    return back(low - edge), back(high + edge)

@@ -107,7 +107,7 @@ def archive_frame(archive: Archive, space: SearchSpace, active: BoolArray | None
                 for value, on in zip(values.tolist(), shown.tolist(), strict=True)
             ]
         else:
-            columns[name] = np.where(shown, values, np.nan)
+            columns[name] = np.where(shown, parameter.shown(values), np.nan)
     return data_frame(
         {
             **columns,

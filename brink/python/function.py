@@ -50,7 +50,8 @@ async def search_async(
             is violated, in whatever unit; or a mapping with that number as ``robustness`` and objectives to minimise.
             If it depends on chance, give it an argument ``seed`` and draw from a generator with that seed.
         space: Its parameters by name, such as ``{"speed": (5.0, 30.0, "m/s"), "lanes": range(2, 5), "road": ["dry",
-            "wet"]}``, or such mappings by component; ``mlcshe@1`` needs two components.
+            "wet"]}``, or such mappings by component; ``mlcshe@1`` needs two components. Steps, log scales and more:
+            docs/reference/search-space.md.
         algorithm: Id of the algorithm.
         simulations: Number of calls.
         params: Parameters of the algorithm that differ from their defaults.

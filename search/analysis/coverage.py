@@ -72,8 +72,8 @@ def _unseen(column: int, name: str, parameter: Parameter, values: FloatArray) ->
     lows, highs = np.append(-np.inf, values + gap), np.append(values - gap, np.inf)
     for place in np.flatnonzero(lows < highs):
         low, high = float(lows[place]), float(highs[place])
-        near = [f"{v:g}" for v in (values[place - 1 : place] if place else values[:0]).tolist()]
-        near += [f"{v:g}" for v in values[place : place + 1].tolist()]
+        closest = values[max(place - 1, 0) : place + 1]
+        near = [f"{value:g}" for value in parameter.shown(closest).tolist()]
         if low < parameter.most and high > parameter.least:
             reason = f"{name} is far from every simulated value, the closest being {' and '.join(near)}"
             yield _Unseen(column=column, low=low, high=high, reason=reason)

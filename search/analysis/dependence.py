@@ -84,7 +84,12 @@ def parameter_columns(
             active &= recorded[:, part]
         columns += [
             ParameterColumn(
-                component=component.name, parameter=parameter, values=rows[:, index], active=active[:, index]
+                component=component.name,
+                parameter=parameter,
+                values=rows[:, index]
+                if isinstance(parameter, Categorical)
+                else parameter.shown(rows[:, index]),
+                active=active[:, index],
             )
             for index, parameter in enumerate(component.parameters)
         ]
@@ -165,11 +170,12 @@ def _grouped(
         labels = tuple(parameter.choices[code].replace("_", " ") for code in parameter.codes)
         return codes, labels, np.searchsorted(codes, values)
     if isinstance(parameter, Integer) and parameter.most - parameter.least < FEW_INTEGERS:
-        whole = np.arange(parameter.least, parameter.most + 1)
+        step = int(parameter.spacing)
+        whole = np.arange(parameter.least, parameter.most + 1, step)
         return (
             whole.astype(np.float64),
             tuple(map(str, whole.tolist())),
-            (values - parameter.least).astype(np.intp),
+            ((values - parameter.least) / step).astype(np.intp),
         )
     if values.size == 0:
         return np.empty(0), (), np.empty(0, np.intp)

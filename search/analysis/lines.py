@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from brink.search.archive import Archive
 from brink.search.deadline import check_time
 from brink.search.features import Unit, units_of
+from brink.search.parameters import Number
 from brink.search.sequential import Verdict, verdict_of
-from brink.search.space import BoolArray, FloatArray, IntArray, Integer, SearchSpace
+from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace
 
 FEWEST: Final = 8
 """Solutions with a seed of their own that make a line."""
@@ -227,7 +228,7 @@ def _is_straight(
 ) -> BoolArray:
     """Return which solutions lie on the straight line between the outermost ones with a seed of their own.
 
-    Constraints may bend it a little, and whole numbers are rounded. Others moved the same unit in another direction.
+    Constraints may bend it a little, and values are rounded to steps. Others moved the unit in another direction.
     """
     mine = shares[own]
     first, last = mine[np.argmin(mine[:, leading])], mine[np.argmax(mine[:, leading])]
@@ -235,6 +236,8 @@ def _is_straight(
     if length <= 0.0:
         return np.zeros(len(shares), np.bool_)
     expected = first + ((shares[:, leading] - first[leading]) / length)[:, None] * (last - first)
-    whole = [isinstance(space.parameters[column], Integer) for column in columns]
-    steps = np.where(whole, 1.0 / space.ranges[columns], 0.0)
+    spacings = [
+        number.spacing for column in columns if isinstance(number := space.parameters[column], Number)
+    ]
+    steps = np.array(spacings) / space.ranges[columns]
     return np.asarray((np.abs(shares - expected) <= steps + _STRAIGHT * length).all(axis=1))

@@ -108,16 +108,18 @@ class Plane:
 
     Attributes:
         names: Names of the parameters with their units, across and up.
-        low: Values at the drawn coordinate 0, shape ``(2,)``.
-        scale: Difference in value per drawn unit, shape ``(2,)``. Equal if the parameters are comparable, so that a
-            circle looks like one; otherwise the range of each parameter, so that the map is a square.
+        low: Stored values at the drawn coordinate 0, shape ``(2,)``.
+        scale: Difference in stored value per drawn unit, shape ``(2,)``. Equal if the parameters are comparable, so
+            that a circle looks like one; otherwise the range of each parameter, so that the map is a square.
         extent: Drawn size of the whole search space, shape ``(2,)``.
+        numbers: The parameters.
     """
 
     names: tuple[str, str]
     low: FloatArray
     scale: FloatArray
     extent: FloatArray
+    numbers: tuple[Number, Number]
 
     def placed(self, vectors: FloatArray) -> FloatArray:
         """Return the positions of solutions on the map, shape ``(n, 2)`` to ``(n, 2)``."""
@@ -125,7 +127,7 @@ class Plane:
 
     def value(self, axis: int, drawn: float) -> float:
         """Return the parameter's value at a drawn coordinate of an axis, 0 or 1."""
-        return float(self.low[axis] + drawn * self.scale[axis])
+        return float(self.numbers[axis].shown(self.low[axis] + drawn * self.scale[axis]))
 
 
 COMPARABLE = 10.0
@@ -138,12 +140,15 @@ def own_plane(space: SearchSpace) -> Plane | None:
     numbers = [parameter for parameter in parameters if isinstance(parameter, Number)]
     if len(parameters) != 2 or len(numbers) != 2:
         return None
-    low = np.array([number.low for number in numbers], np.float64)
-    ranges = np.array([number.high - number.low for number in numbers], np.float64)
-    same = numbers[0].unit == numbers[1].unit and ranges.max() <= COMPARABLE * ranges.min()
+    low = np.array([number.stored(number.low) for number in numbers], np.float64)
+    ranges = np.array([number.range for number in numbers], np.float64)
+    comparable = numbers[0].unit == numbers[1].unit and numbers[0].log == numbers[1].log
+    same = comparable and ranges.max() <= COMPARABLE * ranges.min()
     scale = np.full(2, ranges.max()) if same else ranges
     across, up = (f"{one.name} ({one.unit})" if one.unit else one.name for one in numbers)
-    return Plane(names=(across, up), low=low, scale=scale, extent=ranges / scale)
+    return Plane(
+        names=(across, up), low=low, scale=scale, extent=ranges / scale, numbers=(numbers[0], numbers[1])
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

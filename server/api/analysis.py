@@ -361,6 +361,7 @@ class DependenceView(View):
     labels: Annotated[list[str], Field(description="Names of the groups; empty on a numeric axis.")]
     low: float | None
     high: float | None
+    log: Annotated[bool, Field(description="Whether the axis is logarithmic.")]
     counts: list[int]
     unsafe: list[int]
     strength: Annotated[
@@ -417,6 +418,7 @@ def _dependence(one: Dependence) -> DependenceView:
         labels=list(one.labels),
         low=float(scale.low) if scale else None,
         high=float(scale.high) if scale else None,
+        log=scale is not None and scale.log,
         counts=one.counts.tolist(),
         unsafe=one.unsafe.tolist(),
         strength=one.strength,

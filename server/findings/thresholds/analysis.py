@@ -12,7 +12,8 @@ from sqlalchemy import Connection, Row
 from brink.search.analysis.confirmation import Share
 from brink.search.archive import Archive
 from brink.search.pairs import Steps
-from brink.search.space import FloatArray, IntArray, Integer
+from brink.search.parameters import Number
+from brink.search.space import FloatArray, IntArray
 from brink.search.thresholds import CONFIDENCE, Outcome
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
@@ -204,15 +205,16 @@ def _view(
         parameter=parameter,
         unit=amounts.unit,
         decimals=amounts.decimals,
-        resolution=one.resolution * abs(amounts.per_1),
+        log=amounts.digits is not None,
+        resolution=amounts.apart(one.resolution),
         states_resolution=one.states_resolution,
-        range=one.range * abs(amounts.per_1),
+        range=amounts.apart(one.range),
         middle=amounts.amount(one.middle),
         low=_least(amounts, one),
         high=_most(amounts, one),
         at_20=amounts.amount(one.start),
         at_80=amounts.amount(one.end),
-        stretch=one.stretch * abs(amounts.per_1) if math.isfinite(one.stretch) else None,
+        stretch=amounts.apart(one.stretch) if math.isfinite(one.stretch) else None,
         rises=rises(one, amounts),
         safe_again=None if one.safe_again is None else amounts.amount(one.safe_again),
         window=window(one, amounts),
@@ -248,8 +250,8 @@ def _at(problem: Problem, archive: Archive, one: Threshold, value: float) -> Sim
     row = np.array(first)
     for column in line.unit:
         row[column] = first[column] + share * (last[column] - first[column])
-        if isinstance(space.parameters[column], Integer):
-            row[column] = np.rint(row[column])
+        if isinstance(number := space.parameters[column], Number):
+            row[column] = number.rounded(float(row[column]))
     return SimulatedSolution(vectors=space.split(row))
 
 
@@ -268,12 +270,7 @@ def _pair(
         return None
     width = abs(ends.values[1] - ends.values[0])
     safe, unsafe = (
-        EndView(
-            number=number,
-            value=amounts.at_0 + value * amounts.per_1,
-            outcome=outcome.words(),
-            again=_share(share),
-        )
+        EndView(number=number, value=amounts.at(value), outcome=outcome.words(), again=_share(share))
         for number, value, outcome, share in zip(
             (ends.safe, ends.unsafe),
             ends.values,
@@ -285,7 +282,7 @@ def _pair(
     return TightPairView(
         safe=safe,
         unsafe=unsafe,
-        width=width * abs(amounts.per_1),
+        width=amounts.apart(width),
         tight=width <= one.stretch + 2 * one.resolution + _ROUNDING,
         confirmation=evidence.repeated.state(ends.safe, ends.unsafe),
     )
@@ -297,7 +294,7 @@ def _dots(one: Threshold, amounts: Amounts) -> list[DotView]:
     drives = np.bincount(which, minlength=len(values))
     unsafe = np.bincount(which, weights=line.unsafe[line.own], minlength=len(values))
     return [
-        DotView(value=amounts.at_0 + value * amounts.per_1, drives=int(count), unsafe=int(violating))
+        DotView(value=amounts.at(value), drives=int(count), unsafe=int(violating))
         for value, count, violating in zip(values.tolist(), drives, unsafe, strict=True)
     ]
 
@@ -305,9 +302,12 @@ def _dots(one: Threshold, amounts: Amounts) -> list[DotView]:
 def _curve(one: Threshold, amounts: Amounts) -> CurveView:
     shares = one.shares
     order = slice(None) if rises(one, amounts) else slice(None, None, -1)
-    columns = (amounts.at_0 + shares.values * amounts.per_1, shares.median, shares.low, shares.high)
-    value, share, low, high = (np.round(column[order], _CURVE_DIGITS).tolist() for column in columns)
-    return CurveView(value=value, share=share, low=low, high=high)
+    values = [amounts.at(value) for value in shares.values[order].tolist()]
+    if amounts.digits is None:
+        values = np.round(values, _CURVE_DIGITS).tolist()
+    columns = (shares.median, shares.low, shares.high)
+    share, low, high = (np.round(column[order], _CURVE_DIGITS).tolist() for column in columns)
+    return CurveView(value=values, share=share, low=low, high=high)
 
 
 def _outcome(problem: Problem, row: Row[Any]) -> SolutionOutcome:

@@ -99,6 +99,13 @@ class ThresholdView(View):
     parameter: Annotated[str, Field(description="The one that is reported, in words.")]
     unit: Annotated[str, Field(description="Its unit; empty for a plain number.")]
     decimals: Annotated[int, Field(description="Decimal places that its resolution asks for.")]
+    log: Annotated[
+        bool,
+        Field(
+            description="Whether the scale is logarithmic; `resolution`, `range`, `stretch` and `width` are factors "
+            "then."
+        ),
+    ]
     resolution: Annotated[float, Field(description="What people would call the same.")]
     states_resolution: Annotated[
         bool, Field(description="Whether the problem states the resolution; it is 1% of the range otherwise.")

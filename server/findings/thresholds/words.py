@@ -51,12 +51,15 @@ class Amounts:
         at_0: Amount of the value 0.
         per_1: Amount of a difference of 1.
         decimals: Decimal places that the resolution asks for.
+        digits: Significant digits that it asks for on a log scale, where values are logarithms and differences are
+            factors; None on any other.
     """
 
     unit: str
     at_0: float
     per_1: float
     decimals: int
+    digits: int | None = None
 
     @classmethod
     def of(cls, problem: Problem, column: int, row: FloatArray, resolution: float) -> Self:
@@ -77,22 +80,38 @@ class Amounts:
             parameter = space.parameters[column]
             assert not isinstance(parameter, Categorical)  # a line has no categories
             unit = parameter.unit
+            if parameter.log:
+                digits = 1 + max(1, math.ceil(-math.log10(resolution)))
+                decimals = max(0, digits - 1 - math.floor(math.log10(parameter.low)))
+                return cls(unit=unit, at_0=at_0, per_1=at_1, decimals=decimals, digits=digits)
         shown = resolution * abs(at_1 - at_0)
         decimals = max(0, math.ceil(-math.log10(shown) - _ROUNDING))
         return cls(unit=unit, at_0=at_0, per_1=at_1 - at_0, decimals=decimals)
 
     def amount(self, value: float) -> float | None:
         """Return the amount of a value; None if that is infinite."""
-        return self.at_0 + value * self.per_1 if math.isfinite(value) else None
+        return self.at(value) if math.isfinite(value) else None
+
+    def at(self, value: float) -> float:
+        """Return the amount of a finite value."""
+        return self.at_0 + value * self.per_1 if self.digits is None else math.exp(value)
+
+    def apart(self, width: float) -> float:
+        """Return a difference in the unit; on a log scale, the factor that it stands for."""
+        return width * abs(self.per_1) if self.digits is None else math.exp(width)
 
     def rounded(self, value: float) -> float:
         """Return the value whose amount has no more decimal places than the resolution asks for."""
+        if self.digits is not None:
+            return math.log(float(f"{math.exp(value):.{self.digits}g}"))
         return (round(self.at_0 + value * self.per_1, self.decimals) - self.at_0) / self.per_1
 
     def number(self, value: float) -> str:
         """Return the amount of a value in digits; ``beyond`` if that is infinite."""
         amount = self.amount(value)
-        return "beyond" if amount is None else f"{amount + 0.0:.{self.decimals}f}"
+        if amount is None:
+            return "beyond"
+        return f"{amount + 0.0:.{self.decimals}f}" if self.digits is None else f"{amount:.{self.digits}g}"
 
     def words(self, value: float) -> str:
         """Return the amount of a value with its unit."""
@@ -104,7 +123,10 @@ class Amounts:
         return f"[{self.number(ends[0])}, {self.number(ends[1])}]"
 
     def difference(self, width: float, resolution: float) -> str:
-        """Return a difference with its unit; less than a resolution is not told apart."""
+        """Return a difference with its unit, or a factor; less than a resolution is not told apart."""
+        if self.digits is not None:
+            least = f"less than {self.apart(resolution):.4g}" if width < resolution else ""
+            return f"a factor of {least or format(self.apart(width), '.3g')}"
         if width < resolution:
             return self._with_unit(f"less than {resolution * abs(self.per_1):.4g}")
         return self._with_unit(f"{width * abs(self.per_1):.{self.decimals}f}")
@@ -258,7 +280,7 @@ def turns(one: Threshold, amounts: Amounts, *, computed: bool) -> str:
         computed: Whether verdicts are deterministic: it turns between two values then, and nothing is estimated.
     """
     if computed:
-        ends = sorted(amounts.at_0 + value * amounts.per_1 for value in (one.start, one.end))
+        ends = sorted(amounts.at(value) for value in (one.start, one.end))
         return f"between {' and '.join(different(*ends))} {amounts.unit}".rstrip()
     if one.outcome is Outcome.CHANCY:
         return "nowhere"

@@ -1,6 +1,7 @@
 """Values of numbers in the units in which people read thresholds."""
 
 import numpy as np
+import pytest
 
 from brink.server.findings.thresholds.words import Amounts
 from brink.server.problems.catalogue import make_problem
@@ -45,3 +46,15 @@ def test_amounts_of_values_beyond_the_line_are_unknown() -> None:
 def test_a_difference_below_the_resolution_names_the_resolution_itself() -> None:
     amounts = Amounts(unit="m", at_0=0.0, per_1=4.0, decimals=1)
     assert amounts.difference(0.21 / 4.0, 0.25 / 4.0) == "less than 0.25 m"  # not 0.2: it is more than that
+
+
+def test_amounts_of_a_log_scale_are_numbers_and_their_differences_factors() -> None:
+    amounts = Amounts(unit="1/s", at_0=0.0, per_1=1.0, decimals=8, digits=3)
+    value = float(np.log(1.2345e-4))
+    assert amounts.words(value) == "0.000123 1/s"
+    assert amounts.amount(value) == pytest.approx(1.2345e-4)
+    assert np.exp(amounts.rounded(value)) == pytest.approx(1.23e-4)
+    assert amounts.interval(value, value - 1.0) == "[4.54e-05, 0.000123]"
+    assert amounts.difference(np.log(1.5), np.log(1.1)) == "a factor of 1.5"
+    assert amounts.difference(0.0, np.log(1.1)) == "a factor of less than 1.1"
+    assert amounts.apart(np.log(1.5)) == pytest.approx(1.5)

@@ -41,7 +41,7 @@ export function panel(first) {
     drawn = told;
     const shown = range(one);
     text(heading, `${one.place}. ${sentence(one.words)}`);
-    replace(ends, [shown.low, (shown.low + shown.high) / 2, shown.high].map((at, place) => h("span", null, `${at.toFixed(one.decimals)}${place === 2 && one.unit ? ` ${one.unit}` : ""}`)));
+    replace(ends, [shown.low, middle(one, shown), shown.high].map((at, place) => h("span", null, `${at.toFixed(one.decimals)}${place === 2 && one.unit ? ` ${one.unit}` : ""}`)));
     text(meaning, meaningOf(one));
     attribute(picture, "aria-label", `${one.words}: share of drives that are unsafe, by ${one.parameter}. ${meaningOf(one)}.`);
     replace(picture, curve(one, shown));
@@ -58,21 +58,33 @@ function meaningOf(one) {
   return `${one.parameter}: 50% at ${one.turns}, from 20 to 80% within ${one.within}; ${drives}`;
 }
 
+/** Return the functions from values to places along a line and back: on a log scale, places are logarithms. */
+function scale(one) {
+  return one.log ? [Math.log, Math.exp] : [Number, Number];
+}
+
+function middle(one, { low, high }) {
+  const [along, back] = scale(one);
+  return back((along(low) + along(high)) / 2);
+}
+
 /** Return the part of the line that is shown: near the threshold if there is one, all of it otherwise. */
 function range(one) {
-  const values = [...one.dots.map((dot) => dot.value), one.curve.value[0], one.curve.value.at(-1)];
+  const [along, back] = scale(one);
+  const values = [...one.dots.map((dot) => dot.value), one.curve.value[0], one.curve.value.at(-1)].map(along);
   let [low, high] = [Math.min(...values), Math.max(...values)];
-  const marks = [one.at_20, one.at_80, one.low, one.high].filter((mark) => mark !== null);
+  const marks = [one.at_20, one.at_80, one.low, one.high].filter((mark) => mark !== null).map(along);
   if (one.outcome === "threshold" && marks.length) {
     const [first, last] = [Math.min(...marks), Math.max(...marks)];
-    const width = AROUND * Math.max(last - first, 4 * one.resolution);
+    const width = AROUND * Math.max(last - first, 4 * along(one.resolution));
     [low, high] = [Math.max(low, first - width), Math.min(high, last + width)];
   }
-  return { low, high };
+  return { low: back(low), high: back(high) };
 }
 
 function curve(one, { low, high }) {
-  const x = (value) => MARGIN + ((value - low) / (high - low || 1)) * (WIDTH - 2 * MARGIN);
+  const [along] = scale(one);
+  const x = (value) => MARGIN + ((along(value) - along(low)) / (along(high) - along(low) || 1)) * (WIDTH - 2 * MARGIN);
   const y = (share) => HEIGHT - MARGIN - share * (HEIGHT - 2 * MARGIN);
   const { value, share } = one.curve;
   const points = (shares) => shares.map((at, place) => `${x(value[place]).toFixed(1)},${y(at).toFixed(1)}`);

@@ -57,7 +57,8 @@ function panel(one, overall, top) {
   const scale = one.low !== null && !one.labels.length;
   const [low, high] = scale ? [one.low, one.high] : [-0.5, one.places.length - 0.5];
   const first = one.labels.length && !scale ? one.places[0] : 0;
-  const x = (at) => LEFT + ((at - (scale ? 0 : first) - low) / (high - low || 1)) * (WIDTH - 2 * LEFT);
+  const along = one.log ? Math.log : Number;
+  const x = (at) => LEFT + ((along(at) - (scale ? 0 : first) - along(low)) / (along(high) - along(low) || 1)) * (WIDTH - 2 * LEFT);
   const y = (share) => HEIGHT - 4 - (Math.min(share, top) / top) * (HEIGHT - 12);
   const colour = "var(--unsafe)";
   const name = one.title || spaced(one.parameter).replace(".", ": ");
