@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol, cast
 
 from brink.extras import has_extra
-from brink.sim.episode import EpisodeResult, EpisodeSpec
+from brink.sim.episode import COMMAND_PREFIX, EpisodeResult, EpisodeSpec
 from brink.sim.errors import ExtraMissing, InvalidEpisode, PluginMissing
 from brink.sim.requirements import Requirement
 from brink.sim.sources import distribution_digest, is_own, module_digest, modules_digest
@@ -327,6 +327,8 @@ def worker_for(simulator_id: str) -> str:
         return f"a worker with the extra {EXTRAS[simulator_id]} ({simulator_id})"
     if worker_kind(simulator_id) == FUNCTION:
         return f"the Python program that called brink.search() ({simulator_id})"
+    if simulator_id.startswith(COMMAND_PREFIX):
+        return f"a worker with --commands FOLDER, which has the same command and program ({simulator_id})"
     if simulator_id in _entry_points(SIMULATORS):
         return f"a worker ({simulator_id})"
     if retired_words(simulator_id) is not None:

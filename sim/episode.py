@@ -18,6 +18,8 @@ from brink.sim.errors import InvalidEpisode
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 JsonObject: TypeAlias = "dict[str, Json]"
 
+COMMAND_PREFIX = "command-"
+"""Beginning of the ids of simulators that run a program of a user; the digest of its definition follows."""
 MAX_SEED = 2**53 - 1
 """Largest episode seed: every integer up to it survives JSON parsers that store numbers as doubles."""
 

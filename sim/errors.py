@@ -3,6 +3,7 @@
 SimulatorError
 ├── InvalidEpisode      final: the specification can never run; fix it
 │   └── DrivingSystemFailed  the driving system under test raised an error, or returned no valid decision
+├── DefinitionError     final: the definition of a command is malformed, or its program is not here
 ├── PluginMissing       final: a module listed in BRINK_PLUGINS cannot be imported
 ├── ExtraMissing        final: a simulator needs an optional extra that is not installed here
 ├── GuardFileError      final: a file is not a guard that this version can use; fit the guard again
@@ -23,6 +24,18 @@ class DrivingSystemFailed(InvalidEpisode):
 
     It is final: the same drive would fail in the same way.
     """
+
+
+class DefinitionError(SimulatorError):
+    """The definition of a command is malformed, or its program is not on this machine.
+
+    Attributes:
+        field: The parameter at fault, such as ``files``.
+    """
+
+    def __init__(self, field: str, message: str) -> None:
+        super().__init__(message)
+        self.field = field
 
 
 class PluginMissing(SimulatorError):

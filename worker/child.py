@@ -21,6 +21,7 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 
+from brink.sim.adapters.command.simulator import register_commands
 from brink.sim.catalogue import (
     EXTRAS,
     SIMULATORS,
@@ -137,7 +138,7 @@ def import_simulators() -> Hello:
     """Import every registered simulator and return which of them can be used."""
     simulators: list[str] = []
     lacking: dict[str, str] = {}
-    left_out: dict[str, str] = {}
+    left_out = register_commands()
     for simulator_id in simulator_ids():
         try:
             load_plugin(SIMULATORS, simulator_id)

@@ -91,6 +91,7 @@ def run(
     with about_file(file):
         checked, _ = check_submission(body)
         check_extra(checked.plan.problem)
+    checked.plan.problem.install()
     screen = console(stderr=as_json)
     complete = run_to_end(
         CampaignRun(body, pictures=pictures),

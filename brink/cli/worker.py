@@ -10,6 +10,7 @@ import typer
 from brink.cli.options import LogFormatOption, LogLevelOption, settings_with
 from brink.extras import install_command
 from brink.server.settings import Settings
+from brink.sim.adapters.command.simulator import COMMANDS_VARIABLE
 from brink.sim.catalogue import PLUGINS_VARIABLE
 from brink.worker.log import configure_logging
 from brink.worker.run import run_worker
@@ -54,6 +55,15 @@ def worker(
             help="File to touch every few seconds while the worker makes progress, for liveness probes.",
         ),
     ] = None,
+    commands: Annotated[
+        Path | None,
+        typer.Option(
+            exists=True,
+            file_okay=False,
+            show_default=False,
+            help="Folder with the definitions of commands that campaigns may run here (command@1); none by default.",
+        ),
+    ] = None,
     log_format: LogFormatOption = None,
     log_level: LogLevelOption = None,
 ) -> None:
@@ -71,6 +81,7 @@ def worker(
         raise typer.BadParameter(
             "does not work with --ray, which has many workers", param_hint="--alive-file"
         )
+    os.environ[COMMANDS_VARIABLE] = "" if commands is None else str(commands.absolute())
     common = settings_with(log_format=log_format, log_level=log_level)
     settings = WorkerSettings(
         server=server,

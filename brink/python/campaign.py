@@ -10,7 +10,7 @@ import numpy as np
 from brink.python.frames import parameter_columns
 from brink.search.algorithm import Known
 from brink.search.space import SearchSpace
-from brink.server.campaigns.body import CampaignBody, StartFrom, parse_body, read_campaign_file
+from brink.server.campaigns.body import CampaignBody, StartFrom, parse_body, read_campaign_file, with_files
 from brink.server.campaigns.known import given_records, known_of
 from brink.server.campaigns.plan import make_plan
 from brink.server.documents import parse_document
@@ -96,8 +96,8 @@ def body_of(campaign: CampaignLike) -> CampaignBody:
     if isinstance(campaign, str | Path):
         return read_campaign_file(Path(campaign))
     if isinstance(campaign, Campaign):
-        return started(parse_body(campaign.document()), campaign.start_from)
-    return parse_body(dict(campaign))
+        return started(with_files(parse_body(campaign.document()), Path()), campaign.start_from)
+    return with_files(parse_body(dict(campaign)), Path())
 
 
 def started(body: CampaignBody, start_from: Start) -> CampaignBody:

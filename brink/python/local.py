@@ -54,6 +54,7 @@ async def run_async(
     body = body_of(campaign)
     checked, _ = check_submission(body)
     check_extra(checked.plan.problem)
+    checked.plan.problem.install()
     statuses = (*OPEN, CampaignStatus.FINISHED) if resume else ()
     return await run_body(body, workers=workers, database=database, statuses=statuses, progress=progress)
 

@@ -5,6 +5,7 @@ Tags and notes belong to people: they may change at any time, so they are not pa
 
 import unicodedata
 from collections.abc import Iterable, Mapping
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Self
 
@@ -20,9 +21,12 @@ from brink.server.documents import (
 )
 from brink.server.errors import InvalidInput
 from brink.server.seeding import SeederSettings, seeder
+from brink.sim.errors import DefinitionError
 from brink.worker.wire import JsonValues, Number
 
 LONGEST_NAME = 200
+PROBLEM_FILES: Final = "brink.problem_files"
+"""Entry points by the ids of problems: functions that read the files which parameters in a campaign file name."""
 DEFAULT_T_B = 0.10
 """Default threshold: solutions with a fitness of at most this count as boundary solutions."""
 DEFAULT_D_TH = 0.20
@@ -346,4 +350,24 @@ def read_campaign_file(path: Path) -> CampaignBody:
         InvalidInput: The file cannot be read, is not YAML, or is not a campaign.
     """
     with errors_in_file(path):
-        return parse_body(read_yaml(path))
+        return with_files(parse_body(read_yaml(path)), path.parent)
+
+
+def with_files(body: CampaignBody, folder: Path) -> CampaignBody:
+    """Return a campaign with the content of the files that its problem takes along.
+
+    Args:
+        body: The campaign, which names them by path.
+        folder: Folder of relative paths.
+
+    Raises:
+        InvalidInput: A file cannot be read.
+    """
+    readers = entry_points(group=PROBLEM_FILES, name=body.problem.id)
+    if not readers:
+        return body
+    try:
+        params = next(iter(readers)).load()(body.problem.params, folder)
+    except DefinitionError as error:
+        raise InvalidInput.at(f"/problem/params/{error.field}", str(error)) from None
+    return body.model_copy(update={"problem": PluginChoice(id=body.problem.id, params=params)})

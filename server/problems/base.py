@@ -156,6 +156,9 @@ class BaseProblem(ABC):
     measures: tuple[Measure, ...] = ()
     names_niches: bool = False
 
+    def install(self) -> None:  # noqa: B027  (most problems need nothing)
+        """Allow the workers of this machine to run what only its user may allow."""
+
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return errors in files and plug-ins that parameters name, as pairs of a parameter's name and a message."""
         return []

@@ -4,17 +4,16 @@ The coordinator knows its space, not its code: the workers that `brink.search` s
 its digest as their capability. So no other worker is ever asked to run it.
 """
 
-from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final
 
 from brink.search.errors import ConfigError, SpaceError
-from brink.search.parameters import Categorical, Real
+from brink.search.parameters import Real
 from brink.search.settings import check_settings, setting
-from brink.search.shorthand import flat_values, space_from
+from brink.search.shorthand import space_from
 from brink.search.space import Component, SearchSpace
-from brink.server.problems.base import SimulatedProblem, SimulatedSolution, Vectors
-from brink.server.problems.changes import instead
+from brink.server.problems.base import Vectors
+from brink.server.problems.plain_values import PlainValues
 from brink.sim.adapters.function import FUNCTION, simulator_of
 from brink.sim.episode import EpisodeSpec
 
@@ -42,7 +41,7 @@ class FunctionParams:
             raise ConfigError("space", str(error)) from None
 
 
-class Function(SimulatedProblem):
+class Function(PlainValues):
     """A user's function that returns how far it is from a violation."""
 
     id: ClassVar[str] = "function@1"
@@ -64,35 +63,6 @@ class Function(SimulatedProblem):
         if self.params.digest:
             return []
         return [("function", "expected a function: call brink.search(function, space) in Python")]
-
-    def words(self, vectors: Vectors) -> str:
-        """Return the values of a candidate."""
-        values = flat_values(self.space.decode(tuple(vectors)))
-        return ", ".join(
-            f"{name} {value:.4g} {self._unit(name)}".rstrip()
-            if isinstance(value, float)
-            else f"{name} {value}"
-            for name, value in values.items()
-        )
-
-    def words_of_change(
-        self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
-    ) -> str:
-        """Return the values that differ, the unsafe one last."""
-        sides = [flat_values(self.space.decode(tuple(side.vectors))) for side in (safe, unsafe)]
-        own_names = {name.rpartition(".")[2] for name in changed}
-        return ", ".join(
-            f"{name} {instead(old, new, self._unit(name))}"
-            for (name, old), new in zip(sides[0].items(), sides[1].values(), strict=True)
-            if name in own_names
-        )
-
-    def _unit(self, name: str) -> str:
-        for component in self.space.components:
-            for parameter in component.parameters:
-                if parameter.name == name and not isinstance(parameter, Categorical) and parameter.unit:
-                    return parameter.unit
-        return ""
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the call that evaluates a candidate."""

@@ -1,0 +1,191 @@
+"""The problem `command@1`: any program that reads parameters from files or arguments and logs signals.
+
+The campaign file states everything: the command, the files that it reads, the search space, the signals in its log
+and the requirements on them. What is executed is a definition (`brink.sim.adapters.command.definition`) that workers
+must have: the campaign names it by its digest and contributes values.
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from typing import Any, ClassVar, Final
+
+from brink.search.errors import ConfigError, SpaceError
+from brink.search.parameters import Categorical, Integer, Parameter, Real
+from brink.search.settings import check_settings, setting
+from brink.search.space import Component, SearchSpace
+from brink.server.problems.base import Vectors
+from brink.server.problems.plain_values import PlainValues
+from brink.sim.adapters.command.definition import Definition
+from brink.sim.adapters.command.requirement import RequirementError, SignalRequirement
+from brink.sim.adapters.command.signals import SignalError, SignalSource
+from brink.sim.adapters.command.simulator import install
+from brink.sim.episode import EpisodeSpec
+from brink.sim.errors import DefinitionError
+
+MAX_REQUIREMENTS: Final = 16
+_GRACE_S: Final = 10.0
+"""How much longer than its time limit an episode may take, for files and signals."""
+_EXAMPLE: Final[Mapping[str, Any]] = {
+    "command": ["true", "--x", "{x}"],
+    "space": {"scenario": {"x": {"min": 0.0, "max": 1.0, "resolution": 0.01}}},
+    "signals": {"file": "log.csv"},
+    "requirements": {"positive": {"signal": "x", "above": 0.0}},
+}
+_NUMBER_FIELDS: Final = ("min", "max", "unit", "step", "resolution")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommandParams:
+    """Parameters of the problem. The defaults only show their form."""
+
+    command: list[Any] = field(
+        default_factory=lambda: _EXAMPLE["command"],
+        metadata={"help": "Program and arguments, with placeholders such as {gap}; no shell reads them."},
+    )
+    files: dict[str, Any] = field(
+        default_factory=dict,
+        metadata={"help": "Files with placeholders: a path for each name in the working folder."},
+    )
+    copies: dict[str, Any] = field(
+        default_factory=dict, metadata={"help": "Files that are copied unchanged, named in the same way."}
+    )
+    environment: dict[str, Any] = field(
+        default_factory=dict, metadata={"help": "Environment variables, besides PATH and a home."}
+    )
+    version: list[Any] = field(
+        default_factory=list,
+        metadata={"help": "Command whose output identifies the program; else its content does."},
+    )
+    program: str = setting("", help="Digest of the program; brink run and brink submit fill it in.")
+    success: list[int] = field(
+        default_factory=lambda: [0], metadata={"help": "Exit statuses of an episode with a verdict."}
+    )
+    space: dict[str, Any] = field(
+        default_factory=lambda: _EXAMPLE["space"],
+        metadata={"help": "Search space: by component and name, {min, max, unit, step} or {values}."},
+    )
+    signals: dict[str, Any] = field(
+        default_factory=lambda: _EXAMPLE["signals"],
+        metadata={"help": "Log that the program writes: {file, time, columns}."},
+    )
+    requirements: dict[str, Any] = field(
+        default_factory=lambda: _EXAMPLE["requirements"],
+        metadata={"help": "Requirements by name, each {signal, above or below, unit}; all must hold."},
+    )
+    timeout_s: float = setting(60.0, help="Wall-clock limit of an episode.", gt=0.0, le=86_400.0, unit="s")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        with _config_errors():
+            definition = Definition.of(asdict(self))
+            declared_space(self.space, definition)
+            SignalSource.of(self.signals)
+        if not 1 <= len(self.requirements) <= MAX_REQUIREMENTS:
+            raise ConfigError(
+                "requirements", f"expected 1 to {MAX_REQUIREMENTS} by name, got {len(self.requirements)}"
+            )
+        for name, stated in self.requirements.items():
+            try:
+                SignalRequirement.of(stated)
+            except RequirementError as error:
+                raise ConfigError("requirements", f"{name}: {error}") from None
+
+
+@contextmanager
+def _config_errors() -> Iterator[None]:
+    try:
+        yield
+    except DefinitionError as error:
+        raise ConfigError(error.field, str(error)) from None
+    except SpaceError as error:
+        raise ConfigError("space", str(error)) from None
+    except SignalError as error:
+        raise ConfigError("signals", str(error)) from None
+
+
+def declared_space(declared: Mapping[str, Any], definition: Definition) -> SearchSpace:
+    """Return the search space that a campaign file declares.
+
+    Args:
+        declared: By component and name, ``{min, max, unit, step, resolution}`` or ``{values}``.
+        definition: The definition, which has the choices.
+
+    Raises:
+        SpaceError: It is malformed.
+    """
+    if not declared:
+        raise SpaceError("expected components, such as scenario: {gap: {min: 5, max: 60, unit: m}}")
+    components = []
+    for name, part in declared.items():
+        if not isinstance(part, Mapping) or not part:
+            raise SpaceError(f"{name}: expected parameters by name, got {part!r:.80}")
+        components.append(
+            Component(name, tuple(_parameter(key, one, definition) for key, one in part.items()))
+        )
+    return SearchSpace(tuple(components))
+
+
+def _parameter(name: str, declared: object, definition: Definition) -> Parameter:
+    choices = definition.choices.get(name)
+    if choices is not None and isinstance(declared, Mapping) and list(declared) == ["values"]:
+        return Categorical(name, choices)
+    if not isinstance(declared, Mapping) or set(declared) - set(_NUMBER_FIELDS) or "min" not in declared:
+        raise SpaceError(
+            f"{name}: expected {{min, max, unit, step}} or {{values: […]}}, got {declared!r:.80}"
+        )
+    for key in ("min", "max", "step", "resolution"):
+        value = declared.get(key, None if key == "max" else 1)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise SpaceError(f"{name}: {key}: expected a number, got {value!r:.80}")
+    unit = declared.get("unit", "")
+    if not isinstance(unit, str):
+        raise SpaceError(f"{name}: unit: expected a text, got {unit!r:.80}")
+    low, high, step = declared["min"], declared["max"], declared.get("step")
+    resolution = declared.get("resolution", step)
+    if isinstance(low, int) and isinstance(high, int) and step == 1:
+        return Integer(name, low, high, unit, resolution=resolution)
+    return Real(name, low, high, unit, resolution=resolution)
+
+
+class Command(PlainValues):
+    """A program that simulates an episode, logs signals and ends."""
+
+    id: ClassVar[str] = "command@1"
+    summary: ClassVar[str] = (
+        "Any simulator that is a program: files and a command with placeholders, signals from its log."
+    )
+    params_type: ClassVar[type[Any]] = CommandParams
+    records_traces = False
+
+    def __init__(self, params: CommandParams) -> None:
+        self.params = params
+        self.definition = Definition.of(asdict(params))
+        self.space = declared_space(params.space, self.definition)
+        self.requirements = tuple(params.requirements)
+        self.needs = self.definition.simulator_id(params.program)
+        self.timeout_s = params.timeout_s + _GRACE_S
+        self.ignores_seeds = not self.definition.takes_seed
+
+    def wrong_inputs(self) -> list[tuple[str, str]]:
+        """Return an error if the program is not identified, as no worker then has it."""
+        if self.params.program:
+            return []
+        return [("program", "expected the digest of the program, which brink run and brink submit fill in")]
+
+    def install(self) -> None:
+        """Allow the workers of this machine to run the command."""
+        install(self.definition, self.params.program)
+
+    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
+        """Return the episode that evaluates a candidate."""
+        values = self.space.decode(tuple(vectors))
+        return EpisodeSpec(
+            simulator=self.needs,
+            scenario={name: dict(part) for name, part in values.items()},
+            behaviour={},
+            requirements=self.requirements,
+            seed=seed,
+            duration_s=self.params.timeout_s,
+            options={"signals": self.params.signals, "requirements": self.params.requirements},
+        )

@@ -1,0 +1,1 @@
+"""Programs as simulators: their definitions, how an episode runs one, and the signals that it logs."""

@@ -1,0 +1,305 @@
+"""Runs a command for each episode, in a working folder of its own, and reads the signals that it logs."""
+
+import contextlib
+import fcntl
+import json
+import logging
+import math
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from brink.sim.adapters.command.definition import FIELDS, SEED, Definition, with_contents
+from brink.sim.adapters.command.requirement import RequirementError, SignalRequirement
+from brink.sim.adapters.command.signals import FloatArray, SignalError, SignalSource
+from brink.sim.catalogue import SIMULATORS, register
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
+from brink.sim.errors import DefinitionError, InvalidEpisode, SimulationCrashed
+from brink.sim.programs import Ending, Supervisor, exit_words
+from brink.sim.provenance import provenance, versions_with
+from brink.user_file import read_text
+
+COMMANDS_VARIABLE: Final = "BRINK_COMMANDS"
+"""Environment variable with the folder of the definitions that workers on this machine may run."""
+OWN_FOLDER: Final = Path("brink-commands")
+"""That folder without the variable: where `brink run` puts the definitions that it runs."""
+MAX_DEFINITION_BYTES: Final = 4 * 1024**2
+MAX_FOLDER_BYTES: Final = 256 * 1024**2
+"""Maximum size of an episode's working folder, and of each file in it."""
+KEPT_FAILURES: Final = 5
+"""Number of working folders of failed episodes that are kept."""
+_MAX_RUNNING: Final = 10_000
+_LOOK_S: Final = 0.5
+_LIMITS: Final = {"RLIMIT_FSIZE": MAX_FOLDER_BYTES, "RLIMIT_CORE": 0}
+
+log = logging.getLogger(__name__)
+
+
+def commands_folder() -> Path | None:
+    """Return the folder of the definitions that may run on this machine; None if there is none."""
+    named = os.environ.get(COMMANDS_VARIABLE)
+    folder = OWN_FOLDER if named is None else Path(named)
+    return folder if named != "" and folder.is_dir() else None
+
+
+def install(definition: Definition, program: str) -> None:
+    """Allow this machine's own workers to run a definition.
+
+    Args:
+        definition: The definition.
+        program: Digest of its program.
+    """
+    folder = Path(os.environ.get(COMMANDS_VARIABLE) or OWN_FOLDER)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{definition.simulator_id(program).removesuffix('@1')}.json"
+    partial = path.with_suffix(f".{os.getpid()}")
+    partial.write_text(json.dumps({"problem": {"params": definition.document()}}, indent=1))
+    partial.replace(path)
+
+
+def register_commands() -> dict[str, str]:
+    """Register a simulator for each definition that may run on this machine.
+
+    Returns:
+        Why definitions cannot run, by file.
+    """
+    left_out = {}
+    folder = commands_folder()
+    for path in sorted(folder.iterdir()) if folder is not None else ():
+        if path.suffix not in (".json", ".yaml", ".yml"):
+            continue
+        try:
+            definition = read_definition(path)
+            with tempfile.TemporaryDirectory(prefix="brink-") as here:
+                program = definition.program(Path(here))
+        except DefinitionError as error:
+            left_out[str(path)] = f"{error.field}: {error}"
+            continue
+        _register(definition, program)
+    return left_out
+
+
+def _register(definition: Definition, program: str) -> None:
+    simulator_id = definition.simulator_id(program)
+    register(SIMULATORS, simulator_id, lambda: CommandSimulator(definition, program))
+    log.info("may run %s", definition.command[0], extra={"simulator": simulator_id, "program": program})
+
+
+def read_definition(path: Path) -> Definition:
+    """Read a definition from a file: a campaign with `command@1`, or its ``problem`` alone.
+
+    Raises:
+        DefinitionError: It cannot be read, or is none.
+    """
+    try:
+        document = yaml.safe_load(read_text(path, MAX_DEFINITION_BYTES))
+        params = document["problem"]["params"]
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, LookupError, TypeError, RecursionError) as error:
+        raise DefinitionError("problem", f"expected problem: {{params: …}} in {path.name}: {error}") from None
+    if not isinstance(params, Mapping):
+        raise DefinitionError("problem", f"expected parameters in {path.name}, got {params!r:.80}")
+    given = {name: params[name] for name in FIELDS if name in params}
+    return Definition.of(with_contents(given, path.parent))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """What a program did in an episode.
+
+    Attributes:
+        command: Program and arguments.
+        folder: Its working folder.
+        ending: How it ended; None if it was killed at its time limit.
+        output: The end of what it printed.
+    """
+
+    command: tuple[str, ...]
+    folder: Path
+    ending: Ending | None
+    output: str
+
+
+class CommandSimulator:
+    """Runs the episodes of one definition.
+
+    Args:
+        definition: The definition.
+        program: Digest of its program on this machine.
+    """
+
+    def __init__(self, definition: Definition, program: str) -> None:
+        self.id = definition.simulator_id(program)
+        self._definition = definition
+        self._program = program
+        self._supervisor = Supervisor()
+
+    def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
+        """Run one episode.
+
+        Args:
+            spec: The episode.
+            record: Has no effect yet.
+
+        Raises:
+            InvalidEpisode: A value, the signals or a requirement is wrong.
+            SimulationCrashed: The program failed, or logged no usable signals.
+        """
+        began_s = time.process_time()
+        spec.check_for(self.id, math.inf)
+        source, requirements = signals_of(spec.options, spec.requirements)
+        with self._ran(spec) as run:
+            time_s, signals = self._signals(run, source, requirements)
+        verdicts = {name: one.verdict(time_s, signals) for name, one in requirements.items()}
+        assert run.ending is not None
+        return EpisodeResult(
+            verdicts=verdicts,
+            objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
+            features={},
+            provenance=provenance(
+                self.id,
+                began_s,
+                versions_with(),
+                program=self._program,
+                program_cpu_s=run.ending.cpu_s,
+                simulated_s=float(time_s[-1] - time_s[0]),
+            ),
+        )
+
+    def _signals(
+        self, run: Run, source: SignalSource, requirements: Mapping[str, SignalRequirement]
+    ) -> tuple[FloatArray, dict[str, FloatArray]]:
+        if run.ending is None or run.ending.status not in self._definition.success:
+            how = (
+                "did not end in time and was killed" if run.ending is None else exit_words(run.ending.status)
+            )
+            raise _crashed(run, how)
+        try:
+            return source.read(run.folder, [name for one in requirements.values() for name in one.signals])
+        except SignalError as error:
+            raise _crashed(run, f"ended, but {error}") from None
+
+    @contextlib.contextmanager
+    def _ran(self, spec: EpisodeSpec) -> Iterator[Run]:
+        """Run the program; yield what it did, with its folder, which is kept if that raises `SimulationCrashed`."""
+        values: dict[str, Any] = {}
+        for part in spec.scenario.values():
+            values |= part if isinstance(part, dict) else {}
+        try:
+            texts = self._definition.texts(values)
+        except DefinitionError as error:
+            raise InvalidEpisode(f"scenario: {error}") from None
+        with _working_folder() as (folder, number):
+            texts |= {SEED: str(spec.seed), "out": str(folder), "number": str(number)}
+            for name, content in self._definition.files(texts):
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_bytes(content)
+            yield self._run(self._definition.arguments(texts), folder, spec.duration_s)
+
+    def _run(self, command: tuple[str, ...], folder: Path, timeout_s: float) -> Run:
+        environment = self._definition.variables(folder)
+        deadline_s = time.monotonic() + timeout_s
+        try:
+            program = self._supervisor.start(command, folder=folder, environment=environment, limits=_LIMITS)
+        except OSError as error:
+            raise InvalidEpisode(f"{command[0]} cannot be run: {error.strerror}") from None
+        with program:
+            while (ending := program.wait(min(deadline_s, time.monotonic() + _LOOK_S))) is None:
+                if time.monotonic() >= deadline_s:
+                    break
+                if _size(folder) > MAX_FOLDER_BYTES:
+                    program.kill()
+                    run = Run(command=command, folder=folder, ending=None, output=program.output())
+                    raise _crashed(run, f"wrote more than {MAX_FOLDER_BYTES:,} bytes and was killed")
+            if ending is None:
+                program.kill()
+            return Run(command=command, folder=folder, ending=ending, output=program.output())
+
+
+def signals_of(
+    options: Mapping[str, Json], names: tuple[str, ...]
+) -> tuple[SignalSource, dict[str, SignalRequirement]]:
+    """Return where the signals of an episode stand, and its requirements.
+
+    Args:
+        options: Options of the episode.
+        names: Names of the requirements to evaluate.
+
+    Raises:
+        InvalidEpisode: They are malformed.
+    """
+    stated = options.get("requirements")
+    try:
+        source = SignalSource.of(options.get("signals"))
+        return source, {
+            name: SignalRequirement.of(stated.get(name) if isinstance(stated, dict) else None)
+            for name in names
+        }
+    except (SignalError, RequirementError) as error:
+        raise InvalidEpisode(f"options: {error}") from None
+
+
+def _crashed(run: Run, how: str) -> SimulationCrashed:
+    printed = run.output.strip()
+    words = f"{Path(run.command[0]).name} {how}; its folder is kept: {_kept(run.folder)}"
+    return SimulationCrashed(f"{words}\n{printed[-2000:] or 'it printed nothing'}")
+
+
+def _size(folder: Path) -> int:
+    size = 0
+    for parent, _, names in os.walk(folder):
+        for name in names:
+            with contextlib.suppress(OSError):
+                size += os.lstat(os.path.join(parent, name)).st_size
+    return size
+
+
+def _own_folder() -> Path:
+    """Return the folder of all working folders, which belongs to this user alone."""
+    folder = Path(tempfile.gettempdir()) / f"brink-commands-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    status = folder.lstat()
+    if status.st_uid != os.getuid() or folder.is_symlink():
+        raise SimulationCrashed(f"{folder} belongs to somebody else: set TMPDIR to a folder of your own")
+    return folder
+
+
+@contextlib.contextmanager
+def _working_folder() -> Iterator[tuple[Path, int]]:
+    """Yield an empty folder, and a number that no other episode running on this machine has.
+
+    The folder belongs to the number, so what an episode left that was killed is removed by the next one.
+    """
+    own = _own_folder()
+    for number in range(_MAX_RUNNING):
+        lock = os.open(own / f"{number}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(lock)
+            continue
+        folder = own / str(number)
+        try:
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            yield folder, number
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+            os.close(lock)
+        return
+    raise SimulationCrashed(f"expected fewer than {_MAX_RUNNING:,} episodes at once in {own}")
+
+
+def _kept(folder: Path) -> Path:
+    """Keep the working folder of a failed episode, and remove older ones."""
+    kept = folder.with_name(f"failed-{time.time_ns()}")
+    folder.rename(kept)
+    for old in sorted(folder.parent.glob("failed-*"))[:-KEPT_FAILURES]:
+        shutil.rmtree(old, ignore_errors=True)
+    return kept

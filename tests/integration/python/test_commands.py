@@ -1,0 +1,52 @@
+"""Campaigns that run programs, with real workers."""
+
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import brink
+from brink.server.campaigns.body import read_campaign_file
+
+EXAMPLES = Path(__file__).parents[3] / "examples" / "command"
+
+
+def run(folder: Path, name: str, simulations: int, **changed: Any) -> brink.Result:
+    """Run an example in a copy of its folder, at random."""
+    path = folder / "files"
+    shutil.copytree(EXAMPLES, path, dirs_exist_ok=True)
+    if name == "platoon":
+        source, program = path / "platoon.cpp", path / "platoon"
+        subprocess.run(["c++", "-O1", "-std=c++17", "-o", program, source], check=True, timeout=300)
+    document = yaml.safe_load((path / f"{name}.yaml").read_text())
+    document |= {"algorithm": {"id": "random@1"}, "budget": {"simulations": simulations}}
+    (path / "campaign.yaml").write_text(yaml.safe_dump(document))
+    return brink.run(path / "campaign.yaml", progress=False, **changed)
+
+
+def test_a_program_is_searched_with_a_campaign_file_whatever_the_number_of_workers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    first, second = (
+        run(tmp_path, "cut-in", 24, workers=workers, database=f"{workers}.db") for workers in (1, 2)
+    )
+    assert (first.evaluated, first.failed) == (24, 0)
+    assert 0 < first.unsafe < 24
+    assert first.digest == second.digest
+
+
+@pytest.mark.skipif(shutil.which("c++") is None, reason="there is no C++ compiler")
+def test_a_program_in_another_language_takes_the_seed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = run(tmp_path, "platoon", 16)
+    assert (result.evaluated, result.failed) == (16, 0)
+    before = read_campaign_file(tmp_path / "files" / "campaign.yaml").document_hash()
+    with (tmp_path / "files" / "platoon").open("ab") as program:
+        program.write(b"rebuilt")
+    assert read_campaign_file(tmp_path / "files" / "campaign.yaml").document_hash() != before

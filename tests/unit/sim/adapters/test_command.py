@@ -1,0 +1,287 @@
+"""Programs as simulators: what runs, what may not, and what becomes of failures."""
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from brink.sim.adapters.command import simulator as module
+from brink.sim.adapters.command.definition import Definition, with_contents
+from brink.sim.adapters.command.signals import SignalError, SignalSource
+from brink.sim.adapters.command.simulator import CommandSimulator
+from brink.sim.episode import EpisodeResult, EpisodeSpec
+from brink.sim.errors import DefinitionError, InvalidEpisode, SimulationCrashed
+
+LOG = "import sys\nopen('log.csv', 'w').write('time,x\\n0,1\\n1,' + sys.argv[1] + '\\n')\n"
+SPACE = {"scenario": {"x": {"min": -5, "max": 5}}}
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Yield the folder of all working folders, which has none of an episode afterwards."""
+    monkeypatch.setattr(module.tempfile, "gettempdir", lambda: str(tmp_path))  # type: ignore[attr-defined]
+    folder = tmp_path / f"brink-commands-{os.getuid()}"
+    yield folder
+    assert not [one for one in folder.glob("*") if one.name.isdigit()]
+
+
+def definition_of(script: str = LOG, **changed: Any) -> Definition:
+    params: dict[str, Any] = {
+        "command": [sys.executable, "run.py", "{x}"],
+        "copies": {"run.py": "run.py"},
+        "space": SPACE,
+        **changed,
+    }
+    folder = Path(module.tempfile.gettempdir())  # type: ignore[attr-defined]
+    (folder / "run.py").write_text(script)
+    return Definition.of(with_contents(params, folder))
+
+
+def run(
+    definition: Definition, x: object = 3.5, *, timeout_s: float = 60.0, file: str = "log.csv", **values: Any
+) -> EpisodeResult:
+    simulator = CommandSimulator(definition, "0")
+    spec = EpisodeSpec(
+        simulator=simulator.id,
+        scenario={"scenario": {"x": x, **values}},  # type: ignore[dict-item]
+        behaviour={},
+        requirements=("high",),
+        seed=7,
+        duration_s=timeout_s,
+        options={
+            "signals": {"file": file, "columns": {"twice": "2 * x"}},
+            "requirements": {"high": {"signal": "twice", "above": -1.5, "unit": "m"}},
+        },
+    )
+    return simulator.run(spec)
+
+
+def test_the_verdict_is_the_smallest_margin_with_the_time_of_the_first_violation() -> None:
+    held, violated = run(definition_of()).verdicts["high"], run(definition_of(), -1.25).verdicts["high"]
+    assert (held.robustness, held.unit, held.violated_at_s) == (3.5, "m", None)
+    assert (violated.robustness, violated.violated_at_s) == (-1.0, 1.0)
+
+
+def test_placeholders_are_filled_and_escaped_by_the_ending_of_the_file() -> None:
+    hostile = "\"'<&>$(id);{x}"
+    definition = Definition.of(
+        {
+            "command": ["echo", "--mode={mode}", "{seed}", "{{seed}", "${x}"],
+            "files": {
+                "a.xosc": {"content": '<a b="{mode}" c="${$x * 2}"/>'},
+                "a.json": {"content": '{"a": {"mode": "{mode}", "x": {x}}}'},
+                "a.txt": {"content": "{out} {number}"},
+            },
+            "space": {"scenario": {"x": {"min": 0, "max": 1}, "mode": {"values": [hostile, "b"]}}},
+        }
+    )
+    texts = definition.texts({"x": 0.5, "mode": hostile}) | {"seed": "7", "out": "/work", "number": "3"}
+    files = dict(definition.files(texts))
+    assert files["a.xosc"].decode() == '<a b="&quot;&#x27;&lt;&amp;&gt;$(id);{x}" c="${$x * 2}"/>'
+    assert json.loads(files["a.json"]) == {"a": {"mode": hostile, "x": 0.5}}
+    assert files["a.txt"] == b"/work 3"
+    assert definition.arguments(texts)[1:] == (f"--mode={hostile}", "7", "{seed}", "0.5")
+
+
+@pytest.mark.parametrize(
+    ("changed", "field", "words"),
+    [
+        ({"command": ["sim", "{y}"]}, "command", "no parameter is called 'y'"),
+        ({"command": ["sim"]}, "space", "placeholder {x}"),
+        ({"command": ["{x}", "{x}"]}, "command", "a program without placeholders"),
+        ({"command": "sim {x}; rm -rf /"}, "command", "a list"),
+        ({"command": ["sim\0", "{x}"]}, "command", "a list"),
+        ({"files": {"../../.bashrc": {"content": "{x}"}}}, "files", "inside the working folder"),
+        ({"files": {"/etc/passwd": {"content": "{x}"}}}, "files", "inside the working folder"),
+        ({"files": {"a": {"content": "{x}"}, "a/b": {"content": ""}}}, "files", "a file, and a folder"),
+        ({"files": {"a": "/etc/passwd"}}, "files", "expected {content: …}"),
+        ({"copies": {"a": {"base64": "%%"}}}, "copies", "base64"),
+        ({"copies": {"a": {"base64": "A" * 4 * 200_000}}}, "files", "bytes together"),
+        ({"environment": {"A=B": "c"}}, "environment", "by the name of a variable"),
+        ({"success": [0, 300]}, "success", "0 to 255"),
+        ({"space": {"a": {"x": {}}, "b": {"x": {}}}}, "space", "names that differ"),
+        ({"space": {"a": {"seed": {}}}}, "space", "names that differ"),
+        ({"space": {"a": {"x": {"values": ["a\nb"]}}}}, "space", "control characters"),
+    ],
+)
+def test_hostile_definitions_are_refused(changed: dict[str, Any], field: str, words: str) -> None:
+    with pytest.raises(DefinitionError, match=words.replace("{", r"\{").replace("(", r"\(")) as error:
+        Definition.of({"command": ["sim", "{x}"], "space": SPACE, **changed})
+    assert error.value.field == field
+
+
+@pytest.mark.parametrize(
+    "value", ["$(touch hacked)", "--help", [1], {"a": 1}, None, True, float("nan"), float("inf")]
+)
+def test_only_numbers_and_choices_of_the_definition_reach_the_program(value: object) -> None:
+    definition = definition_of(
+        command=[sys.executable, "run.py", "{x}", "{mode}"],
+        space={"scenario": {"x": {}, "mode": {"values": ["a", "b"]}}},
+    )
+    assert run(definition, 1, mode="a").verdicts
+    wrong: list[dict[str, Any]] = [
+        {"x": value, "mode": "a"},
+        {"x": 1, "mode": value},
+        {"x": 1, "mode": "a", "more": 1},
+    ]
+    for values in wrong:
+        with pytest.raises(InvalidEpisode, match="expected"):
+            run(definition, **values)
+
+
+@pytest.mark.parametrize(
+    ("change", "same"),
+    [
+        ({}, True),
+        ({"space": {"scenario": {"x": {"min": 0, "max": 1}}}}, True),
+        ({"command": [sys.executable, "run.py", "{x}", "-v"]}, False),
+        ({"environment": {"A": "1"}}, False),
+        ({"success": [0, 3]}, False),
+        ({"files": {"a": {"content": "b"}}}, False),
+        ({"space": {"scenario": {"x": {"values": ["1"]}}}}, False),
+    ],
+)
+def test_the_id_covers_what_decides_what_is_executed(change: dict[str, Any], same: bool) -> None:
+    first, second = definition_of(), definition_of(**change)
+    assert (first.simulator_id("0") == second.simulator_id("0")) is same
+    assert first.simulator_id("0") != first.simulator_id("1")
+    assert first.simulator_id("0") != definition_of(LOG + "#").simulator_id("0")
+
+
+def test_the_program_is_identified_by_its_content_or_by_what_it_says(tmp_path: Path) -> None:
+    program = tmp_path / "sim"
+
+    def digest(text: str, **more: Any) -> str:
+        program.write_text(f"#!/bin/sh\n{text}\n")
+        program.chmod(0o755)
+        return definition_of(command=[str(program), "{x}"], **more).program(tmp_path)
+
+    assert digest("echo 1") == digest("echo 1") != digest("echo 1 # edited")
+    version = {"version": [str(program), "--version"]}
+    assert digest("echo 1", **version) == digest("echo 1 # edited", **version) != digest("echo 2", **version)
+    with pytest.raises(DefinitionError, match="exited with status 3: broken"):
+        digest("echo broken; exit 3", **version)
+    with pytest.raises(DefinitionError, match="no program 'no-such-program' here"):
+        definition_of(command=["no-such-program", "{x}"]).program(tmp_path)
+
+
+FAILURES = {
+    "exit status": ("print('no licence'); sys.exit(3)", r"exited with status 3.*\nno licence"),
+    "killed": ("os.abort()", "was killed by SIGABRT"),
+    "no log": ("open('other.txt', 'w')", "no log log.csv was written; the folder has other.txt, run.py"),
+    "empty log": ("open('log.csv', 'w')", "log.csv is empty"),
+    "no samples": ("log('')", "has no samples"),
+    "binary log": ("open('log.csv', 'wb').write(bytes(range(256)))", "UTF-8"),
+    "other columns": ("open('log.csv', 'w').write('time,y\\n0,1')", "no column 'x'; it has time, y"),
+    "not a number": ("log('0,nan')", "twice is nan at 0 s"),
+    "a word": ("log('0,far')", "expected a number, got 'far'"),
+    "time runs back": ("log('1,1\\n0,1')", "expected increasing times"),
+    "a link out": ("os.symlink('/etc/hostname', 'log.csv')", "not a link out of it"),
+    "a pipe": ("os.mkfifo('log.csv')", "cannot be read"),
+    "a large log": ("log('1,1\\n' * 40_000_000)", "killed by SIGXFSZ|exited|cannot be read"),
+}
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_a_failed_program_gives_no_verdict_and_its_folder_is_kept(failure: str, own_folder: Path) -> None:
+    code, words = FAILURES[failure]
+    script = f"import os, sys\ndef log(rows): open('log.csv', 'w').write('time,x\\n' + rows)\n{code}"
+    with pytest.raises(SimulationCrashed, match=f"(?s){words}"):
+        run(definition_of(script))
+    (kept,) = own_folder.glob("failed-*")
+    assert (kept / "run.py").read_text() == script
+
+
+def test_few_folders_of_failed_episodes_are_kept(own_folder: Path) -> None:
+    for _ in range(module.KEPT_FAILURES + 2):
+        with pytest.raises(SimulationCrashed):
+            run(definition_of("raise SystemExit(1)"))
+    assert len(list(own_folder.glob("failed-*"))) == module.KEPT_FAILURES
+
+
+def test_a_program_that_prints_and_writes_without_end_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(SimulationCrashed, match=r"did not end in time(?s:.*)abcabc$"):
+        run(definition_of("while True: print('abc' * 10_000)"), timeout_s=1.0)
+    monkeypatch.setattr(module, "MAX_FOLDER_BYTES", 1_000_000)
+    script = "import itertools\nfor n in itertools.count(): open(str(n), 'w').write('x' * 50_000)"
+    with pytest.raises(SimulationCrashed, match="wrote more than 1,000,000 bytes"):
+        run(definition_of(script))
+
+
+def test_children_of_the_program_end_with_it(own_folder: Path) -> None:
+    script = """
+import os, sys, time
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        while True:
+            open('/proc/self/comm', 'w').write('brink-stays')
+            time.sleep(0.05)
+    os._exit(0)
+time.sleep(0.3)
+"""
+    assert run(definition_of(script + LOG)).verdicts
+    with pytest.raises(SimulationCrashed, match="did not end in time"):
+        run(definition_of(script + "time.sleep(60)"), timeout_s=1.0)
+    names = [name for one in Path("/proc").glob("[0-9]*/comm") if (name := _read(one)) == "brink-stays"]
+    assert names == []
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return ""
+
+
+def test_the_environment_is_as_stated(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("BRINK_TOKEN", "secret")
+    names = {"PATH", "LANG", "HOME", "TMPDIR", "MAP", "LC_CTYPE"}
+    script = f"import os\nassert set(os.environ) <= {names}, os.environ\nassert os.environ['MAP'] == 'town'\n"
+    assert run(definition_of(script + LOG, environment={"MAP": "town"}))
+
+
+def test_what_a_killed_worker_left_is_removed_by_the_next_episode(own_folder: Path) -> None:
+    own_folder.mkdir()
+    (own_folder / "0").mkdir()
+    (own_folder / "0" / "log.csv").write_text("time,x\n0,-100\n")
+    with pytest.raises(SimulationCrashed, match="no log"):
+        run(definition_of("pass"))
+
+
+LOGS = {
+    "a.csv": 'Version 1\ntime ; "my gap [m]" ; hit\n0;1.5;false\n0.5;2;TRUE\n',
+    "a.jsonl": '{"time": 0, "my gap [m]": 1.5, "hit": false}\n{"time": 0.5, "my gap [m]": 2, "hit": true}\n',
+    "a.json": '{"time": [1e9, 1000000000.5], "my gap [m]": [1.5, 2], "hit": [0, 1]}',
+}
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_logs_are_read_in_all_formats(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(LOGS[name])
+    source = SignalSource.of({"file": name, "columns": {"free_m": "`my gap [m]` - 1"}})
+    time_s, signals = source.read(tmp_path, ["free_m", "hit"])
+    assert time_s.tolist() == [0, 0.5]
+    assert {key: values.tolist() for key, values in signals.items()} == {"free_m": [0.5, 1.0], "hit": [0, 1]}
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        None,
+        {},
+        {"file": "../log.csv"},
+        {"file": "/etc/passwd.csv"},
+        {"file": "log.mat"},
+        {"file": "log.csv", "columns": {"a": "__import__('os').system('id')"}},
+        {"file": "log.csv", "columns": {"a": "b > 1"}},
+        {"file": "log.csv", "shell": "id"},
+    ],
+)
+def test_wrong_signals_are_refused(document: object) -> None:
+    with pytest.raises(SignalError, match=r"expected|allowed"):
+        SignalSource.of(document)
