@@ -20,6 +20,7 @@ PLACE_GAIN_PER_S2: Final = 0.6
 LOOK_AHEAD_S: Final = 0.6
 MIN_LOOK_AHEAD_M: Final = 3.0
 MAX_LOOK_AHEAD_M: Final = 9.0
+BEND_M: Final = 2.0
 STANDS_MPS: Final = 0.2
 HOLDS_MPS2: Final = -2.0
 """Holds a car that should stand on the steepest slope of the roads."""
@@ -91,7 +92,7 @@ def _steer(trajectory: Sequence[TrajectoryPoint], ego: EgoState, car: CarLimits)
     ]
     own = (ego.x_m - axle_m * cos_yaw, ego.y_m - axle_m * sin_yaw)
     ahead_m = min(max(LOOK_AHEAD_S * ego.speed_mps, MIN_LOOK_AHEAD_M), MAX_LOOK_AHEAD_M)
-    goal_x, goal_y = _point_ahead(path, trajectory[-1].yaw_rad, own, ahead_m)
+    goal_x, goal_y = _point_ahead(path, [point.yaw_rad for point in trajectory], own, ahead_m)
     dx, dy = goal_x - own[0], goal_y - own[1]
     forward, left = dx * cos_yaw + dy * sin_yaw, dy * cos_yaw - dx * sin_yaw
     if forward <= 0.0:
@@ -101,9 +102,12 @@ def _steer(trajectory: Sequence[TrajectoryPoint], ego: EgoState, car: CarLimits)
 
 
 def _point_ahead(
-    path: Sequence[tuple[float, float]], last_yaw_rad: float, own: tuple[float, float], ahead_m: float
+    path: Sequence[tuple[float, float]], yaws_rad: Sequence[float], own: tuple[float, float], ahead_m: float
 ) -> tuple[float, float]:
-    """Return the point of a path at a distance beyond the point nearest to the car; its end is extended straight."""
+    """Return the point of a path at a distance beyond the point nearest to the car.
+
+    The path is extended with its last curvature: a trajectory may end because the car stops in a bend.
+    """
     nearest_m2, from_m, along_m = math.inf, 0.0, 0.0
     lengths = []
     for (ax, ay), (bx, by) in pairwise(path):
@@ -124,4 +128,15 @@ def _point_ahead(
             return ax + share * (bx - ax), ay + share * (by - ay)
         left_m -= length_m
     end_x, end_y = path[-1]
-    return end_x + left_m * math.cos(last_yaw_rad), end_y + left_m * math.sin(last_yaw_rad)
+    chord_rad = yaws_rad[-1] + 0.5 * left_m * _last_curvature(lengths, yaws_rad)
+    return end_x + left_m * math.cos(chord_rad), end_y + left_m * math.sin(chord_rad)
+
+
+def _last_curvature(lengths_m: Sequence[float], yaws_rad: Sequence[float]) -> float:
+    """Return the curvature of the last `BEND_M` of a path in 1/m; 0 if the path is too short to tell."""
+    long_m, first = 0.0, len(lengths_m)
+    while first and long_m < BEND_M:
+        first -= 1
+        long_m += lengths_m[first]
+    turn_rad = (yaws_rad[-1] - yaws_rad[first] + math.pi) % (2.0 * math.pi) - math.pi
+    return turn_rad / long_m if long_m > 0.25 * BEND_M else 0.0

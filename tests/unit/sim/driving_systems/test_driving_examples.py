@@ -60,6 +60,19 @@ def test_idm_follows_its_lane_and_obeys(curve: str) -> None:
     assert way_m > 30.0
 
 
+@pytest.mark.parametrize("curve", ["left", "crossroad"])
+def test_fiss_plus_plans_obeys_and_is_the_same_again(curve: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("fiss_planner")
+    monkeypatch.setenv(PLUGINS_VARIABLE, "fiss")
+    spec = replace(street("fiss:FissPlus", curve), duration_s=12.0)
+    first, again = BrinkDrive().run(spec, record=True), BrinkDrive().run(spec, record=True)
+    assert [name for name, one in first.verdicts.items() if one.violated] == []
+    way_m = first.features["way_m"]
+    assert isinstance(way_m, float)
+    assert way_m > 30.0
+    assert first.trace == again.trace
+
+
 def test_settings_reach_a_driving_system() -> None:
     near, far = (BrinkDrive().run(street("idm:Idm", headway_s=headway_s)) for headway_s in (1.0, 3.0))
     gaps_m = [one.features["least_front_gap_m"] for one in (near, far)]

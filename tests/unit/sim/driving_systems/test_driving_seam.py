@@ -24,6 +24,7 @@ from brink.sim.driving_systems import (
     Start,
     TrajectoryPoint,
 )
+from brink.sim.driving_systems.motion import tracking_command
 from brink.sim.driving_systems.option import DRIVING_SYSTEMS, DrivingOption
 from brink.sim.driving_systems.seam import SystemUnderTest, object_tracking, seen_objects
 from brink.sim.encounter.simulator import BrinkEncounter
@@ -391,6 +392,24 @@ def test_a_trajectory_is_tracked_through_a_bend_and_to_a_stand() -> None:
     assert errors_m[-1] < 0.3
     assert ego.speed_mps < 0.05
     assert all(new.time_s > old.time_s for old, new in pairwise(trajectory))
+
+
+def test_trajectory_that_ends_in_a_bend_is_steered_along_the_bend() -> None:
+    radius_m, car = 12.0, drives(Tracks)._start.car
+    axle_m = 0.5 * car.wheelbase_m
+
+    def centre(ahead_m: float) -> tuple[float, float, float]:
+        yaw = ahead_m / radius_m
+        return (
+            radius_m * math.sin(yaw) + axle_m * math.cos(yaw),
+            radius_m * (1.0 - math.cos(yaw)) + axle_m * math.sin(yaw),
+            yaw,
+        )
+
+    stop = [TrajectoryPoint(0.5 * step, *centre(min(0.5 * step, 1.5)), 1.0, 0.0) for step in range(8)]
+    ego = EgoState(*centre(0.0), 1.0, 0.0, 0.0, 0.0)
+    _, steer_rad = tracking_command(stop, 0.0, ego, car)
+    assert steer_rad == pytest.approx(math.atan(car.wheelbase_m / radius_m), rel=0.02)
 
 
 def test_episodes_of_brinks_own_system_are_the_ones_that_they_were() -> None:
