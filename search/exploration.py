@@ -10,7 +10,8 @@ Sources: Geurts, Ernst and Wehenkel 2006 (trees); Au and Beck 2001 (subset simul
 (confidence bounds). Needs scikit-learn, as `brink.search.surrogate` does.
 """
 
-from typing import Final
+from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
 
@@ -57,22 +58,28 @@ class RobustnessSurrogate:
     def __init__(
         self, space: SearchSpace, rows: FloatArray, robustness: FloatArray, unsafe: BoolArray, *, seed: int
     ) -> None:
+        self.size = len(rows)
+        self._features = Features.of_space(space)
+        self._rows, self._margins, self._seed = rows, margins(robustness, unsafe), seed
+
+    @cached_property
+    def _trees(self) -> list[Any]:
+        """The trees of scikit-learn, which grow when they are first asked."""
         # scikit-learn takes a second to load, and is needed by few searches.
         from sklearn.tree import ExtraTreeRegressor
 
-        self.size = len(rows)
-        self._features = Features.of_space(space)
-        orders = self._features.in_every_order(rows)
-        values = np.tile(margins(robustness, unsafe), len(orders))
-        self._trees = grown_trees(
+        orders = self._features.in_every_order(self._rows)
+        grown = grown_trees(
             lambda state: ExtraTreeRegressor(
                 min_samples_leaf=LEAF, max_features=FEATURES, random_state=state
             ),
             orders.reshape(-1, orders.shape[-1]),
-            values,
+            np.tile(self._margins, len(orders)),
             count=TREES,
-            seed=seed,
+            seed=self._seed,
         )
+        # Without the checks around each call, which take longer than most predictions.
+        return [tree.tree_ for tree in grown]
 
     def predict(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the means and standard deviations over the trees, both of shape ``(n,)``.
@@ -81,7 +88,7 @@ class RobustnessSurrogate:
             rows: Solutions, shape ``(n, d)``.
         """
         features = self._features.of_rows(rows)
-        trees = np.array([tree.predict(features, check_input=False) for tree in self._trees])
+        trees = np.array([tree.predict(features)[:, 0] for tree in self._trees])
         return trees.mean(axis=0), trees.std(axis=0)
 
 

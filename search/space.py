@@ -8,7 +8,8 @@ leaves a valid vector unchanged.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self, TypeAlias
 
@@ -200,31 +201,16 @@ class Component:
                         f"{choice!r} of {label.name}{known}"
                     )
 
-    def _deciding_choice(self, number: Number, vector: FloatArray) -> str | None:
-        """Return the choice in a vector on which the resolution of a number depends; None if it depends on none."""
-        if not isinstance(number.resolution, ResolutionByChoice):
-            return None
-        names = [parameter.name for parameter in self.parameters]
-        label = self.by_name[number.resolution.label]
-        return str(label.decode(float(vector[names.index(label.name)])))
-
-    def resolutions(self, vector: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return the resolution of each number of a valid vector, and whether the problem states it.
-
-        Returns:
-            Resolutions in the numbers' own units, 1 and stated for a category, both of shape ``(dimension,)``.
-
-        Raises:
-            SpaceError: The vector has the wrong shape.
-        """
-        self._values(vector)
-        resolutions, stated = np.ones(self.dimension), np.ones(self.dimension, np.bool_)
-        for place, parameter in enumerate(self.parameters):
-            if not isinstance(parameter, Categorical):
-                choice = self._deciding_choice(parameter, vector)
-                resolutions[place] = parameter.resolution_at(choice)
-                stated[place] = parameter.stated_resolution(choice) is not None
-        return resolutions, stated
+    def resolution(self, place: int, vector: FloatArray) -> tuple[float, bool]:
+        """Return the resolution of a number of a valid vector, 1 for a category, and whether it is stated."""
+        parameter = self.parameters[place]
+        if isinstance(parameter, Categorical):
+            return 1.0, True
+        choice = None
+        if isinstance(parameter.resolution, ResolutionByChoice):
+            label = self.by_name[parameter.resolution.label]
+            choice = str(label.decode(float(vector[self.parameters.index(label)])))
+        return parameter.resolution_at(choice), parameter.stated_resolution(choice) is not None
 
     def limited(self, limits: Mapping[str, object]) -> Self:
         """Return the component within an operational design domain.
@@ -528,17 +514,27 @@ class SearchSpace:
         vectors = self.split(row)
         return np.concatenate([c.dormant(v) for c, v in zip(self.components, vectors, strict=True)])
 
-    def resolutions(self, row: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return the resolution of each number of a valid row, and whether the problem states it.
+    def resolutions(
+        self, row: FloatArray, columns: Sequence[int] | None = None
+    ) -> tuple[FloatArray, BoolArray]:
+        """Return the resolution of numbers of a valid row, and whether the problem states it.
 
         A resolution is the largest difference that people would call the same. Without one stated, it is 1% of the
         range, and at least 1 for an integer.
 
+        Args:
+            row: The row, shape ``(dimension,)``.
+            columns: Columns of the numbers, k of them; by default all.
+
         Returns:
-            Resolutions in the numbers' own units, 1 and stated for a category, both of shape ``(dimension,)``.
+            Resolutions in the numbers' own units, 1 and stated for a category, both of shape ``(k,)``.
         """
-        parts = [c.resolutions(v) for c, v in zip(self.components, self.split(row), strict=True)]
-        return np.concatenate([one for one, _ in parts]), np.concatenate([stated for _, stated in parts])
+        found = []
+        for column in range(self.dimension) if columns is None else columns:
+            place = bisect_right([part.start for part in self.slices], column) - 1
+            part = self.slices[place]
+            found.append(self.components[place].resolution(column - part.start, row[part]))
+        return np.array([value for value, _ in found]), np.array([stated for _, stated in found], np.bool_)
 
     def sample_component(self, index: int, rng: np.random.Generator) -> FloatArray:
         """Draw a random valid vector of one component."""
@@ -564,6 +560,20 @@ class SearchSpace:
             SpaceError: The vector has the wrong shape.
         """
         return self.components[index].repair(vector, rng)
+
+    def repaired_parts(self, row: FloatArray, columns: Iterable[int], rng: np.random.Generator) -> FloatArray:
+        """Return the nearest valid row to one that was changed in some columns and was valid before.
+
+        Args:
+            row: The changed row, shape ``(d,)``; it is not modified.
+            columns: The columns that may have changed.
+            rng: Draws fresh numbers; not used if none are needed.
+        """
+        repaired, changed = np.array(row), set(columns)
+        for component, part in zip(self.components, self.slices, strict=True):
+            if not changed.isdisjoint(range(part.start, part.stop)):
+                repaired[part] = component.repair(row[part], rng)
+        return repaired
 
     def check(self, vectors: Sequence[FloatArray]) -> None:
         """Check that a complete solution is valid.

@@ -120,7 +120,7 @@ def estimate(prior: CurvePrior, trials: Trials, rng: np.random.Generator, *, mos
         most: Simulations after which the estimation ends.
     """
     draws = _posterior(prior, trials, rng)
-    crossings = np.stack([prior.crossings(draws, level) for level in (LOW, 0.5, HIGH)])
+    crossings = prior.crossings(draws, (LOW, 0.5, HIGH))
     start, middle, end = crossings
     stretch = _stretches(crossings)
     tail = 0.5 * (1.0 - CONFIDENCE)
@@ -160,12 +160,16 @@ def _posterior(prior: CurvePrior, trials: Trials, rng: np.random.Generator) -> F
     library = rng.random((_LIBRARY, DIMENSION))
     if not len(trials):
         return library[:DRAWS]
-    sign = np.where(trials.unsafe, 1.0, -1.0)
-    safe = np.where(trials.unsafe, 0.0, 1.0)
+    # Many trials are at the same place, with the same verdict.
+    told = np.stack([trials.places, trials.unsafe], axis=1)
+    distinct, which = np.unique(told, axis=0, return_inverse=True)
+    places, unsafe = distinct.T
+    safe, sign = 1.0 - unsafe, 2.0 * unsafe - 1.0
 
     def log_likelihood(points: FloatArray) -> FloatArray:
-        likely = safe + sign * prior.shares(points, trials.places)
-        return np.asarray(np.log(np.clip(likely, 1e-4, 1.0)).sum(axis=1))
+        likely = safe + sign * prior.shares(points, places)
+        terms = np.log(np.clip(likely, 1e-4, 1.0))
+        return np.asarray(np.take(terms, which.reshape(-1), axis=1).sum(axis=1))
 
     likely = log_likelihood(library)
     if effective_size(likely) >= DRAWS:

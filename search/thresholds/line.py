@@ -40,10 +40,10 @@ class Line:
                 f"expected two solutions that differ in the numbers {self.unit} and nothing else, got differences "
                 f"in {np.flatnonzero(moved).tolist()}"
             )
-        resolutions, stated = self.space.resolutions(self.end)
-        shares = resolutions[columns] / moved[columns]
+        resolutions, stated = self.space.resolutions(self.end, columns)
+        shares = resolutions / moved[columns]
         object.__setattr__(self, "resolution", float(shares.min()))
-        object.__setattr__(self, "stated", bool(stated[columns[int(np.argmin(shares))]]))
+        object.__setattr__(self, "stated", bool(stated[int(np.argmin(shares))]))
         object.__setattr__(self, "range", float((self.space.ranges[columns] / moved[columns]).min()))
 
     def at(self, place: float) -> FloatArray | None:
@@ -77,13 +77,11 @@ def valid_change(space: SearchSpace, held: FloatArray, row: FloatArray, unit: Un
         unit: Columns of the unit.
     """
     # Nothing is missing, so repair draws at most the numbers of a block that it reactivates, which are then others.
-    rng = np.random.Generator(np.random.PCG64(0))
-    repaired = space.join(space.repair(space.split(row), rng))
-    columns = list(unit)
+    columns, repaired = list(unit), space.repaired_parts(row, unit, np.random.Generator(np.random.PCG64(0)))
     others = np.ones(space.dimension, np.bool_)
     others[columns] = False
     if not np.array_equal(repaired[others], held[others]):
         return None
     # Rounding moves a number by less than its resolution; more means that it was drawn or stretched.
-    is_near = np.abs(repaired - row)[columns] <= space.resolutions(held)[0][columns]
+    is_near = np.abs(repaired - row)[columns] <= space.resolutions(held, columns)[0]
     return frozen_array(repaired) if (is_near | space.categorical[columns]).all() else None

@@ -12,10 +12,12 @@ Curves are points of the unit cube, in which the prior is uniform, as `brink.sea
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from brink.search.space import FloatArray
 
@@ -64,21 +66,46 @@ class CurvePrior:
 
         Args:
             points: Curves as points of the unit cube, shape ``(n, DIMENSION)``.
-            places: Places on the line, shape ``(m,)`` for all curves or ``(n, m)``.
+            places: Places on the line, shape ``(m,)``.
         """
-        where, how_wide, power, low, high, second, apart = (column[:, None] for column in points.T)
+        return np.ascontiguousarray(self._curves(points).shares(places[:, None]).T)
+
+    def crossings(self, points: FloatArray, levels: Sequence[float]) -> FloatArray:
+        """Return where curves reach levels, shape ``(m, n)``; infinite if beyond the line, on the side where it is.
+
+        Args:
+            points: Curves as points of the unit cube, shape ``(n, DIMENSION)``.
+            levels: Probabilities in (0, 1), m of them.
+        """
+        curves, wanted = self._curves(points), np.array(levels)[:, None]
+        low, high = np.zeros((len(levels), len(points))), np.ones((len(levels), len(points)))
+        ends = curves.shares(np.array([[0.0], [1.0]]))
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            below = curves.shares(middle) < wanted
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        reached = np.where(ends[0] >= wanted, -np.inf, 0.5 * (low + high))
+        return np.where(ends[1] < wanted, np.inf, reached)
+
+    def _curves(self, points: FloatArray) -> "_Curves":
+        where, how_wide, power, low, high, second, apart = np.ascontiguousarray(points.T)
         least, most = math.log(NARROWEST * self.resolution), math.log(WIDEST * self.range)
         stretch = np.exp(min(least, most - 1.0) + (most - min(least, most - 1.0)) * how_wide)
-        middle = self._middles(where, stretch)
         exponent = np.exp((2.0 * power - 1.0) * math.log(_SKEWED))
         height = np.clip((second - (1.0 - TWO_STEPS)) / TWO_STEPS, 0.0, None)
-        height = np.where(height > 0.0, 0.1 + 0.8 * height, 0.0)
+        two = np.flatnonzero(height > 0.0)
         distance = np.sign(apart - 0.5) * stretch * _APART ** np.abs(2.0 * apart - 1.0)
-        step = _step(places, middle, stretch, exponent)
-        step = step + height * (_step(places, middle + distance, stretch, exponent) - step)
         lower = _LOWEST * np.clip(2.0 * low - 1.0, 0.0, None) ** 2
         upper = 1.0 - _LOWEST * np.clip(2.0 * high - 1.0, 0.0, None) ** 2
-        return np.asarray(lower + np.clip(upper - lower, 0.0, None) * step)
+        steps = _Steps.of(self._middles(where, stretch), stretch, exponent)
+        return _Curves(
+            first=steps,
+            two=two,
+            second=_Steps(steps.middle[two] + distance[two], *(part[two] for part in steps[1:])),
+            share=0.1 + 0.8 * height[two],
+            lower=lower,
+            rise=np.clip(upper - lower, 0.0, None),
+        )
 
     def _middles(self, where: FloatArray, stretch: FloatArray) -> FloatArray:
         """Return where steps rise to half of their height: anywhere, or near the bracket."""
@@ -88,28 +115,63 @@ class CurvePrior:
         near = within + _SPREAD * stretch * student
         return np.where(where < ANYWHERE, -0.05 + 1.1 * where / ANYWHERE, near)
 
-    def crossings(self, points: FloatArray, level: float) -> FloatArray:
-        """Return where curves reach a level, shape ``(n,)``; infinite if beyond the line, on the side where it is.
 
-        Args:
-            points: Curves as points of the unit cube, shape ``(n, DIMENSION)``.
-            level: A probability in (0, 1).
-        """
-        low, high = np.zeros(len(points)), np.ones(len(points))
-        ends = self.shares(points, np.array([0.0, 1.0]))
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            below = self.shares(points, middle[:, None])[:, 0] < level
-            low, high = np.where(below, middle, low), np.where(below, high, middle)
-        reached = np.where(ends[:, 0] >= level, -np.inf, 0.5 * (low + high))
-        return np.where(ends[:, 1] < level, np.inf, reached)
+class _Steps(NamedTuple):
+    """Steps from 0 to 1: powers of the logistic function, each array of shape ``(n,)``.
+
+    Attributes:
+        middle: Their medians.
+        stretch: Their stretches from 20 to 80%.
+        power: Their powers.
+        half: Argument at which the power of the logistic function is a half.
+        width: Difference of its arguments at 20 and 80%.
+    """
+
+    middle: FloatArray
+    stretch: FloatArray
+    power: FloatArray
+    half: FloatArray
+    width: FloatArray
+
+    @classmethod
+    def of(cls, middle: FloatArray, stretch: FloatArray, power: FloatArray) -> Self:
+        """Return steps with given medians, stretches and powers."""
+
+        def at(level: float) -> FloatArray:
+            return np.asarray(-np.log(level ** (-1.0 / power) - 1.0))
+
+        return cls(middle, stretch, power, at(0.5), at(0.8) - at(0.2))
+
+    def at(self, places: FloatArray) -> FloatArray:
+        """Return the heights at places of shape ``(m, n)`` or ``(m, 1)``, shape ``(m, n)``."""
+        scaled = self.half + (places - self.middle) / self.stretch * self.width
+        return np.asarray((1.0 + np.exp(np.clip(-scaled, -40.0, 40.0))) ** -self.power)
 
 
-def _step(places: FloatArray, middle: FloatArray, stretch: FloatArray, power: FloatArray) -> FloatArray:
-    """Return steps from 0 to 1: a power of the logistic function with the given median and 20-80 stretch."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Curves:
+    """Curves, each array of shape ``(n,)``, or ``(k,)`` for those with two steps.
 
-    def at(level: float) -> FloatArray:
-        return np.asarray(-np.log(level ** (-1.0 / power) - 1.0))
+    Attributes:
+        first: The first step of each.
+        two: Indices of the curves with two steps.
+        second: Their second steps.
+        share: Height of these, as a share of the rise.
+        lower: Lower level of each curve.
+        rise: Difference to the upper level.
+    """
 
-    scaled = at(0.5) + (places - middle) / stretch * (at(0.8) - at(0.2))
-    return np.asarray((1.0 + np.exp(np.clip(-scaled, -40.0, 40.0))) ** -power)
+    first: _Steps
+    two: NDArray[np.intp]
+    second: _Steps
+    share: FloatArray
+    lower: FloatArray
+    rise: FloatArray
+
+    def shares(self, places: FloatArray) -> FloatArray:
+        """Return the probabilities at places of shape ``(m, n)`` or ``(m, 1)``, shape ``(m, n)``."""
+        step = self.first.at(places)
+        first = step[:, self.two]
+        own = places if places.shape[1] == 1 else places[:, self.two]
+        step[:, self.two] = first + self.share * (self.second.at(own) - first)
+        return self.lower + self.rise * step

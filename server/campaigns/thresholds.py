@@ -180,7 +180,7 @@ def _estimated(archive: Archive, plan: Plan, line: Line, seed: int, *, ended: bo
     found = estimate(prior, trials, rng, most=most)
 
     tail = 0.5 * (1.0 - CONFIDENCE)
-    reached = prior.crossings(found.draws, HIGH)
+    (reached,) = prior.crossings(found.draws, (HIGH,))
     ends = np.quantile(reached, [tail, 1.0 - tail], method="inverted_cdf").tolist()
 
     def value(place: float) -> float:

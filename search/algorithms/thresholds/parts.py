@@ -75,7 +75,7 @@ class Parts:
         for place in blocks:
             changed[self.blocks[place].label] = self.blocks[place].null
         rng = np.random.Generator(np.random.PCG64(0))  # not drawn from: no number is missing
-        repaired = self.space.join(self.space.repair(self.space.split(changed), rng))
+        repaired = self.space.repaired_parts(changed, [self.blocks[place].label for place in blocks], rng)
         is_as_wanted = all(repaired[self.blocks[p].label] == self.blocks[p].null for p in blocks)
         return frozen_array(repaired) if is_as_wanted else None
 

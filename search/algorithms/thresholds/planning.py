@@ -324,21 +324,19 @@ class _Planner:
         rows = np.tile(held, (_DRAWS + 3, 1))
         drawn = self._space.draw_unrepaired(_DRAWS, rng)[:, columns]
         rows[3:, columns] = np.sort(drawn, axis=1)
-        resolutions = self._space.resolutions(held)[0]
-        for column in columns:
+        for column, resolution in zip(columns, self._space.resolutions(held, columns)[0], strict=True):
             parameter = self._space.parameters[column]
             if not self._space.categorical[column]:
                 least, most = parameter.least, parameter.most  # type: ignore[union-attr]
                 # All numbers of a block at 0 would read as dormant.
-                rows[:3, column] = least, min(least + resolutions[column], most), most
+                rows[:3, column] = least, min(least + resolution, most), most
         return list(rows)
 
     def _is_other(self, row: FloatArray, held: FloatArray, unit: int) -> bool:
         """Return whether people would call a solution with a moved unit another one."""
         columns = list(self._parts.units[unit])
         moved = np.abs(row[columns] - held[columns])
-        least = np.where(self._space.categorical[columns], 1.0, self._space.resolutions(held)[0][columns])
-        return bool((moved >= least).any())
+        return bool((moved >= self._space.resolutions(held, columns)[0]).any())
 
     def _kinds(self) -> Iterable[Kind]:
         """Yield the kind of each hunt whose unit is known and that found, or may find, a threshold."""
@@ -464,7 +462,7 @@ class _Planner:
             return 0.0
         row = self._simulated.row(int(self.state.archive.numbers[0]))
         columns = [column for unit in self._parts.numeric for column in self._parts.units[unit]]
-        finest = (self._space.resolutions(row)[0] / self._space.ranges)[columns].min()
+        finest = (self._space.resolutions(row, columns)[0] / self._space.ranges[columns]).min()
         return math.log2(max(1.0 / finest, 1.0))
 
     def _options(self, ready: int) -> list[Hunt]:
@@ -532,9 +530,13 @@ class _Planner:
         verdicts = dict(
             zip(row_keys(archive.vectors), archive.unsafe.tolist(), strict=True)
         )  # the last on each
-        active = {number: parts.active(simulated.row(number)) for number in numbers}
-        alone = {n: parts.without(simulated.row(n), blocks) for n, blocks in active.items() if blocks}
-        rows = {number: row for number, row in alone.items() if row is not None}
+        alone = self.state.alone
+        for number in numbers:
+            if number not in alone:
+                anchor = simulated.row(number)
+                active = parts.active(anchor)
+                alone[number] = parts.without(anchor, active) if active else None
+        rows = {number: row for number in numbers if (row := alone[number]) is not None}
         believed = self._safety(list(rows.values())) < 0.0
         hunts = []
         for (number, row), guess in zip(rows.items(), believed.tolist(), strict=True):

@@ -200,6 +200,7 @@ class ThresholdState(LedgerState):
         explored: Numbers of the simulated solutions that were explored and have a verdict.
         surrogate: Estimates robustness; None until it is needed.
         estimates: The estimates of hunts in the stage `Stage.ESTIMATE`, by index, as far as computed.
+        alone: Explored solutions without any error, by number, as far as computed; None where there is none.
     """
 
     config: ThresholdConfig
@@ -208,6 +209,7 @@ class ThresholdState(LedgerState):
     explored: tuple[int, ...] = ()
     surrogate: RobustnessSurrogate | None = None
     estimates: Mapping[int, Estimate] = field(default_factory=dict)
+    alone: dict[int, FloatArray | None] = field(default_factory=dict)
 
 
 class Simulated:

@@ -403,6 +403,20 @@ def test_a_resolution_may_depend_on_a_choice() -> None:
         resolutions, stated = space.resolutions(np.array([choice, 5.0, 0.3]))
         assert resolutions.tolist() == [1.0, 9.0, resolution]
         assert stated.tolist() == [True, False, is_stated]
+        alone, _ = space.resolutions(np.array([choice, 5.0, 0.3]), [2, 0])
+        assert alone.tolist() == [resolution, 1.0]
+
+
+@pytest.mark.parametrize("name", sorted(example_spaces()))
+def test_a_row_changed_in_one_part_is_repaired_there_as_the_whole_row_is(name: str) -> None:
+    space = example_spaces()[name]
+    rng = np.random.default_rng(5)
+    for column in range(space.dimension):
+        row, other = (space.join(space.sample(rng)).copy() for _ in range(2))
+        row[column] = other[column]
+        whole, part = (np.random.default_rng(column) for _ in range(2))
+        repaired = space.repaired_parts(row, [column], part)
+        assert repaired.tobytes() == space.join(space.repair(space.split(row), whole)).tobytes()
 
 
 def test_the_resolution_of_an_integer_is_at_least_1() -> None:

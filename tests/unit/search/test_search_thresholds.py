@@ -124,6 +124,20 @@ def test_what_is_unsafe_nowhere_is_chancy_and_its_middle_beyond_the_line() -> No
     assert found.middle == found.stretch == math.inf
 
 
+def test_curves_pass_a_level_where_they_are_said_to() -> None:
+    prior = CurvePrior(safe=0.3, unsafe=0.6, resolution=0.05, range=1.2)
+    points = np.random.default_rng(2).random((200, 7))
+    start, end = prior.shares(points, np.array([0.0, 1.0])).T
+    for level, crossings in zip((0.2, 0.8), prior.crossings(points, (0.2, 0.8)), strict=True):
+        for curve, place in zip(points, crossings.tolist(), strict=True):
+            if math.isfinite(place):
+                below, above = prior.shares(curve[None], place + np.array([-2e-6, 2e-6]))[0]
+                assert below <= level <= above
+        assert np.isfinite(crossings).sum() > 50
+        assert np.array_equal(crossings == -np.inf, start >= level)
+        assert np.array_equal(crossings == np.inf, end < level)
+
+
 @pytest.mark.parametrize("middle", [0.02, 0.98])
 def test_a_threshold_near_an_end_of_the_line_is_found(middle: float) -> None:
     found, _ = turning(placed(SHAPES["logistic"], middle, 0.01), np.random.default_rng(2))
