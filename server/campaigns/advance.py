@@ -71,6 +71,7 @@ from brink.server.errors import Damaged, InvalidInput, Unavailable
 from brink.server.metrics import Metrics
 from brink.server.problems.base import InProcessProblem, Problem, SimulatedProblem
 from brink.server.problems.catalogue import uses_user_code
+from brink.server.problems.driving_systems import drives_itself
 from brink.server.queue import job_store
 from brink.server.queue.job_store import JobOutcome, first_line
 from brink.server.queue.wakeups import Wakeups
@@ -84,6 +85,8 @@ FEW_FAILURES = 3
 FIRST_FAILURES = 5
 """This many failures before any success pause a campaign at once, unless it allows most simulations to fail."""
 
+DRIVEN_TWICE: Final = 4
+"""Solutions that are simulated a second time with a driving system of a user, to see whether it is deterministic."""
 PLUGIN_STEPS_AT_ONCE: Final = 16
 """Maximum number of campaigns with user code whose steps run at a time. They mostly wait for it."""
 KNOWN_CAMPAIGNS: Final = 10_000
@@ -458,7 +461,10 @@ class Stepper:
             block=self._distance_block(archive) if plan.is_for("boundary") else None,
             checkpoint=_checkpoint(plan, told, campaign.generation + 1, counted=counted),
             asked=asked,
-            traces=() if boundary is None or not finished else _evidence(campaign, plan, archive, boundary),
+            traces=[
+                *_driven_twice(campaign, evaluations),
+                *([] if boundary is None or not finished else _evidence(campaign, plan, archive, boundary)),
+            ],
             status=status,
             reason=reason,
         )
@@ -578,6 +584,13 @@ def _evidence(campaign: Campaign, plan: Plan, archive: Archive, boundary: IndexA
     if isinstance(plan.problem, InProcessProblem):
         return []
     return [int(number) for number in archive.numbers[boundary][: campaign.body.execution.keep_traces]]
+
+
+def _driven_twice(campaign: Campaign, evaluations: Mapping[int, Evaluation]) -> list[int]:
+    """Return the solutions whose traces show whether a driving system of a user drives the same way again."""
+    if campaign.generation or drives_itself(campaign.body.problem.params):
+        return []
+    return sorted(number for number, one in evaluations.items() if isinstance(one, Scored))[:DRIVEN_TWICE]
 
 
 def _finite(value: float) -> float | None:

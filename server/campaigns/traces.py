@@ -1,17 +1,19 @@
 """The stored traces of solutions, the jobs that record them, and the pictures of their films."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, and_, select
 from sqlalchemy.orm import InstrumentedAttribute
 
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines, read
-from brink.server.db.models import SolutionRow, TraceRow
+from brink.server.db.models import JobRow, SolutionRow, TraceRow
 from brink.server.errors import NotFound
 from brink.server.queue import job_store
+from brink.server.queue.job_store import EVALUATIONS
 from brink.server.single_flight import SingleFlightCache
 from brink.server.states import JobKind, JobStatus
 from brink.sim.errors import SimulatorError
@@ -20,6 +22,8 @@ from brink.sim.trace import Trace
 FILMS_KEPT: Final = 4
 LARGEST_FILM_BYTES: Final = 32 * 1024**2
 """Maximum total size of the pictures of a film; this project's workers never exceed it."""
+MOST_COMPARED: Final = 200
+"""Maximum number of simulations that are compared with their repetition."""
 JPEG_MAGIC: Final = b"\xff\xd8"
 
 Pictures: TypeAlias = Sequence[bytes]
@@ -70,6 +74,46 @@ def request_trace(connection: Connection, campaign: Campaign, number: int) -> bo
     """
     job_store.enqueue_traces(connection, campaign.id, [number], campaign.job_settings)
     return job_store.find_job_of(connection, campaign.id, number, JobKind.TRACE) is not None
+
+
+def driven_again(connection: Connection, campaign_id: str) -> tuple[int, int]:
+    """Return how many simulations were run again to record their traces, and how many of these had another result.
+
+    Those that ran on a processor with other arithmetic are left out: their last digits may differ.
+
+    Args:
+        connection: To the database.
+        campaign_id: The campaign.
+    """
+    query = (
+        select(EVALUATIONS.c.result, JobRow.result)
+        .join(
+            JobRow,
+            and_(JobRow.campaign_id == EVALUATIONS.c.campaign_id, JobRow.number == EVALUATIONS.c.number),
+        )
+        .where(
+            JobRow.campaign_id == campaign_id,
+            JobRow.kind == JobKind.TRACE,
+            JobRow.result.is_not(None),
+            EVALUATIONS.c.result.is_not(None),
+        )
+        .limit(MOST_COMPARED)
+    )
+    pairs = [(json.loads(first), json.loads(again)) for first, again in connection.execute(query)]
+    alike = [
+        (first, again)
+        for first, again in pairs
+        if first["provenance"].get("instruction_set") == again["provenance"].get("instruction_set")
+    ]
+    parts = ("verdicts", "objectives", "features")
+    differ = sum(
+        any(
+            json.dumps(first[part], sort_keys=True) != json.dumps(again[part], sort_keys=True)
+            for part in parts
+        )
+        for first, again in alike
+    )
+    return len(alike), differ
 
 
 def _kept(connection: Connection, column: InstrumentedAttribute[Any], campaign_id: str, number: int) -> Any:

@@ -15,6 +15,7 @@ from brink.server.campaigns.follow_ups.question import question_of
 from brink.server.campaigns.follow_ups.store import followed_by, read_follow_ups
 from brink.server.campaigns.outcomes import CampaignOutcomes
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.campaigns.traces import driven_again
 from brink.server.errors import NotFound
 from brink.server.findings.boundary.repeats import count_distinct, repeats_view
 from brink.server.findings.finding import Finding, Findings, FollowedView, Role, Step, StepRequest
@@ -22,6 +23,7 @@ from brink.server.findings.kind import NOTHING, Kind, Subject, all_kinds, asked,
 from brink.server.findings.sources import Sources
 from brink.server.findings.words import full_sentence, so_far
 from brink.server.problems.catalogue import takes_requirement
+from brink.server.problems.driving_systems import drives_itself
 from brink.server.problems.requirements import ANY
 from brink.server.states import CampaignStatus, OutcomeKind
 
@@ -51,6 +53,8 @@ async def find_all(sources: Sources, campaign: Campaign, *, rows: int = ROWS) ->
     words, more = await _sentences(known, found)
     if campaign.failed and not _all_failed(campaign):  # otherwise the words say it already
         words = f"{words}; {_failures(campaign)}"
+    if known.not_the_same:
+        words = f"{words}; {known.not_the_same}"
     if known.outcomes.odd:
         words = f"within the ODD: {words}"
     return Findings(
@@ -107,6 +111,7 @@ class _Known:
         kinds: The kinds of findings that it has, those that it is for first, with why it has them.
         reported: Verdicts that the search has not received yet, and how many of them are unsafe.
         of: The campaign that it follows up, if any.
+        not_the_same: That its driving system is not deterministic; empty if that has not shown.
     """
 
     sources: Sources
@@ -117,6 +122,7 @@ class _Known:
     outcomes: CampaignOutcomes
     reported: tuple[int, int]
     of: FollowedView | None
+    not_the_same: str
 
     @classmethod
     async def read(cls, sources: Sources, campaign: Campaign) -> "_Known":
@@ -136,6 +142,7 @@ class _Known:
                 outcomes=outcomes,
                 reported=(len(reported.results), reported.unsafe),
                 of=_followed(connection, campaign),
+                not_the_same=_not_the_same(connection, campaign),
             )
 
         return await sources.pages.read(sources.engines, look)
@@ -173,6 +180,18 @@ def _followed(connection: Connection, campaign: Campaign) -> FollowedView | None
     if asks is None or of is None:
         return None
     return FollowedView(campaign=of.id, name=of.body.name, kind=asks.kind)
+
+
+def _not_the_same(connection: Connection, campaign: Campaign) -> str:
+    """Return how many drives were not the same when they were driven again; empty if all were."""
+    params = campaign.body.problem.params
+    again, differ = (0, 0) if drives_itself(params) else driven_again(connection, campaign.id)
+    if not differ:
+        return ""
+    return (
+        f"{differ:,} of {again:,} drives that were driven again had another result: {params['driving']} is not "
+        "deterministic, so nothing found here can be relied on"
+    )
 
 
 async def _sentences(known: _Known, found: Sequence[Finding]) -> tuple[str, list[str]]:

@@ -40,13 +40,18 @@ def driving_options(driving: str, settings: Mapping[str, Any]) -> dict[str, Json
     return DrivingOption(system=driving, settings=settings).to_options()
 
 
+def drives_itself(params: Mapping[str, Any]) -> bool:
+    """Return whether Brink's own driving system drives with these parameters of a problem, or nobody drives."""
+    return bool(params.get("driving", OWN) == OWN)
+
+
 def driving_params(params: Mapping[str, Any]) -> dict[str, Any]:
     """Return the parameters that give another problem the same driving system; none for Brink's own.
 
     Args:
         params: Parameters of a problem, which may not be driven at all.
     """
-    if params.get("driving", OWN) == OWN:
+    if drives_itself(params):
         return {}
     return {name: params[name] for name in ("driving", "driving_settings") if params.get(name)}
 
