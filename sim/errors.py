@@ -3,8 +3,8 @@
 SimulatorError
 ├── InvalidEpisode      final: the specification can never run; fix it
 │   └── DrivingSystemFailed  the driving system under test raised an error, or returned no valid decision
-├── DefinitionError     final: the definition of a command is malformed, or its program is not here
-├── PluginMissing       final: a module listed in BRINK_PLUGINS cannot be imported
+├── DefinitionError     final: the definition of a program is malformed, or the program is not here
+├── PluginMissing       final here: a plug-in module cannot be imported, or a program is not installed
 ├── ExtraMissing        final: a simulator needs an optional extra that is not installed here
 ├── GuardFileError      final: a file is not a guard that this version can use; fit the guard again
 └── SimulationCrashed   retryable: this run failed; running the same specification again may work
@@ -27,7 +27,7 @@ class DrivingSystemFailed(InvalidEpisode):
 
 
 class DefinitionError(SimulatorError):
-    """The definition of a command is malformed, or its program is not on this machine.
+    """The definition of a program is malformed, or the program is not on this machine.
 
     Attributes:
         field: The parameter at fault, such as ``files``.
@@ -39,7 +39,7 @@ class DefinitionError(SimulatorError):
 
 
 class PluginMissing(SimulatorError):
-    """A module listed in ``BRINK_PLUGINS`` cannot be imported."""
+    """A module listed in ``BRINK_PLUGINS`` cannot be imported, or a user's program is not installed here."""
 
 
 class ExtraMissing(SimulatorError, ImportError):

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Final
@@ -11,7 +12,10 @@ import typer
 from brink.cli.options import AsJson, console, named_values, plain_table, print_json
 from brink.server.errors import InvalidInput
 from brink.sim.catalogue import plugin_ids
+from brink.sim.driving_systems.command import Definition, install
 from brink.sim.driving_systems.option import DRIVING_SYSTEMS, OWN
+from brink.sim.errors import DefinitionError
+from brink.sim.programs.installed import COMMANDS_VARIABLE
 from brink.user_file import read_file
 from brink.worker.driving_check import drive_streets
 
@@ -32,7 +36,8 @@ def check(
         str,
         typer.Argument(
             metavar="FILE[:CLASS]",
-            help="Python file of the driving system, with its class if there are several; or a registered id.",
+            help="Python file of the driving system, with its class if there are several; YAML file of a program; or "
+            "a registered id.",
             show_default=False,
         ),
     ],
@@ -53,14 +58,14 @@ def check(
     Example: brink driving check my_planner.py
 
     Example: brink driving check my_planner.py:Planner --setting headway_s=1.2
+
+    Example: brink driving check my_planner.yaml
     """
-    system, module = _system(file)
-    found = drive_streets(
-        system,
-        named_values("--setting", setting, "headway_s=1.2"),
-        plugins=() if module is None else (module,),
-        streets=STREETS,
-    )
+    settings = named_values("--setting", setting, "headway_s=1.2")
+    with tempfile.TemporaryDirectory(prefix="brink-") as folder:
+        system, module = _system(file, folder)
+        plugins = () if module is None else (module,)
+        found = drive_streets(system, settings, plugins=plugins, streets=STREETS)
     if as_json:
         print_json(asdict(found))
         raise typer.Exit(int(bool(found.faults)))
@@ -91,17 +96,30 @@ def check(
     raise typer.Exit(int(bool(found.faults)))
 
 
-def _system(given: str) -> tuple[str, str | None]:
-    """Return the name of a driving system, and the module to load for it; None if it is registered.
+def _system(given: str, folder: str) -> tuple[str, str | None]:
+    """Return the name of a driving system, and the module to load for it; None if it is registered or a program.
+
+    Args:
+        given: What the user named.
+        folder: Folder in which a program is installed.
 
     Raises:
         InvalidInput: There is no such file, or it has not one driving system.
     """
+    if given.endswith((".yaml", ".yml")):
+        os.environ[COMMANDS_VARIABLE] = folder
+        try:
+            install(definition := Definition.of(Path(given)))
+            return definition.id(), None
+        except DefinitionError as error:
+            raise InvalidInput.at("FILE", str(error)) from None
     if ".py" not in given:
         known = (OWN, *plugin_ids(DRIVING_SYSTEMS))
         if given in known:
             return given, None
-        raise InvalidInput.at("FILE", f"expected a Python file, or one of {', '.join(known)}; got {given!r}")
+        raise InvalidInput.at(
+            "FILE", f"expected a Python or YAML file, or one of {', '.join(known)}; got {given!r}"
+        )
     path, _, name = given.partition(".py:")
     file = Path(path if name else given)
     file = file.with_name(file.name + ".py") if name else file

@@ -10,8 +10,8 @@ import typer
 from brink.cli.options import LogFormatOption, LogLevelOption, settings_with
 from brink.extras import install_command
 from brink.server.settings import Settings
-from brink.sim.adapters.command.simulator import COMMANDS_VARIABLE
 from brink.sim.catalogue import PLUGINS_VARIABLE
+from brink.sim.programs.installed import COMMANDS_VARIABLE
 from brink.worker.log import configure_logging
 from brink.worker.run import run_worker
 from brink.worker.settings import WorkerSettings
@@ -61,7 +61,7 @@ def worker(
             exists=True,
             file_okay=False,
             show_default=False,
-            help="Folder with the definitions of commands that campaigns may run here (command@1); none by default.",
+            help="Folder with the definitions of the programs that campaigns may run here; none by default.",
         ),
     ] = None,
     log_format: LogFormatOption = None,

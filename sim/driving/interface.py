@@ -243,6 +243,11 @@ class Route(Protocol):
         """
         ...
 
+    @property
+    def oncoming(self) -> tuple[tuple[float, float], ...]:
+        """The stretches, from and to a station, with an oncoming lane directly to the left."""
+        ...
+
     def oncoming_lane_at(self, station_m: float) -> bool:
         """Return whether an oncoming lane lies directly to the left of a station."""
         ...

@@ -4,8 +4,8 @@ An episode without it is driven by Brink's own, and is the one that it always wa
 
     {"driving": {"system": "my_planner:Planner", "settings": {"headway_s": 1.2}}}
 
-A system is registered in the group ``brink.driving_systems``, or is a class or function of a plug-in module. Only
-workers make one: the coordinator checks its name.
+A system is registered in the group ``brink.driving_systems``, or is a class or function of a plug-in module, or a
+program (`brink.sim.driving_systems.command`). Only workers make one: the coordinator checks its name.
 """
 
 import json
@@ -16,7 +16,8 @@ from typing import Final, Self, cast
 from brink.sim.catalogue import load_function, load_plugin, plugin_ids
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import CONTROL_STEP_S, PERCEPTION_STEP_S, Route
-from brink.sim.driving_systems.interface import CarLimits, MakeDrivingSystem, Start
+from brink.sim.driving_systems.command import OPTION, PREFIX, is_id, process_of
+from brink.sim.driving_systems.interface import CarLimits, DrivingSystem, MakeDrivingSystem, Start
 from brink.sim.driving_systems.own import OwnSystem
 from brink.sim.driving_systems.seam import SystemUnderTest
 from brink.sim.episode import MAX_SEED, Json, JsonObject, nearest
@@ -28,7 +29,6 @@ DRIVING_SYSTEMS: Final = "brink.driving_systems"
 """Entry points: `MakeDrivingSystem`."""
 OWN: Final = "modular@1"
 """Brink's own driving system, which drives unless another one is chosen."""
-OPTION: Final = "driving"
 MAX_SETTINGS_CHARS: Final = 20_000
 _FIELDS: Final = ("system", "settings")
 
@@ -79,7 +79,11 @@ class DrivingOption:
 
     def provenance(self) -> dict[str, Json]:
         """Return the entries in the provenance of a result: none for Brink's own system."""
-        return {} if self.is_own else {"driving": self.system}
+        if self.is_own:
+            return {}
+        hello = process_of(self.system).hello if is_id(self.system) else None
+        words = {} if hello is None else {"driving_name": hello.name, "driving_version": hello.version}
+        return {"driving": self.system, **words}
 
     def start(self, route: Route, car: CarModel, camera: Camera, seed: int) -> SystemUnderTest:
         """Return a new driving system for one drive.
@@ -126,6 +130,12 @@ def factory_of(system: str, where: str = f"options.{OPTION}.system") -> MakeDriv
     """
     if system == OWN:
         return OwnSystem
+    if is_id(system):
+        return lambda start: cast(DrivingSystem, process_of(system).start(start))
+    if system.startswith(PREFIX):
+        raise InvalidEpisode(
+            f"{where}: expected command:NAME@DIGEST, which brink driving check FILE.yaml shows; got {system!r:.80}"
+        )
     if ":" in system:
         return cast(MakeDrivingSystem, load_function(where, system))
     try:

@@ -33,7 +33,7 @@ from brink.sim.driving_systems.interface import (
 )
 from brink.sim.driving_systems.motion import pedal_accel, tracking_command, wheel_steer
 from brink.sim.driving_systems.own import LEAVES_ALL
-from brink.sim.errors import DrivingSystemFailed, InvalidEpisode
+from brink.sim.errors import DrivingSystemFailed, InvalidEpisode, PluginMissing, SimulationCrashed
 
 NEEDS: Final[tuple[str, ...]] = get_args(Needs)
 _MODES: Final = {mode.value: mode for mode in PlanMode}
@@ -93,8 +93,6 @@ class SystemUnderTest:
     def _made(self, make: MakeDrivingSystem) -> DrivingSystem:
         try:
             return make(self._start)
-        except InvalidEpisode:
-            raise
         except (Exception, SystemExit) as error:  # noqa: BLE001  (foreign code; its error becomes ours)
             self._raise("it cannot be made", error)
 
@@ -321,9 +319,12 @@ class SystemUnderTest:
         Raises:
             DrivingSystemFailed: The code failed. It is final: the same drive would fail in the same way.
             MemoryError: It ran out of memory, which it might not on another machine.
+            SimulatorError: A program failed; of the same type.
         """
         if isinstance(error, MemoryError):
             raise error
+        if isinstance(error, InvalidEpisode | PluginMissing | SimulationCrashed):
+            raise type(error)(f"driving system {self._name}, {when}: {error}") from error
         lines = "".join(traceback.format_exception(error)).rstrip().splitlines()[-_LAST_LINES:]
         text = " ".join(f"{type(error).__name__}: {error}".split())
         raise DrivingSystemFailed(

@@ -16,7 +16,7 @@ from brink.sim.bullet.engine import EngineError, bullet_versions, discard_engine
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, Driving
-from brink.sim.driving_systems.option import OPTION as DRIVING
+from brink.sim.driving_systems.command import OPTION as DRIVING
 from brink.sim.driving_systems.option import DrivingOption
 from brink.sim.encounter.reference import AFTERWARDS_S, NOBODY, Driver, ReferenceDriving, avoidance, avoids
 from brink.sim.encounter.specification import REFERENCE, EncounterScenario

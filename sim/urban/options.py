@@ -6,7 +6,7 @@ from typing import Final, Self
 
 from brink.sim.driving.camera import LEAST_VISIBLE
 from brink.sim.driving.interface import LATENCY_S
-from brink.sim.driving_systems.option import OPTION as DRIVING
+from brink.sim.driving_systems.command import OPTION as DRIVING
 from brink.sim.episode import Json, nearest, parse_number
 from brink.sim.errors import InvalidEpisode
 from brink.sim.guard.option import OPTION as GUARD

@@ -23,13 +23,10 @@ from brink.sim.catalogue import SIMULATORS, register
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import DefinitionError, InvalidEpisode, SimulationCrashed
 from brink.sim.programs import Ending, Supervisor, exit_words
+from brink.sim.programs.installed import commands_folder, own_folder
 from brink.sim.provenance import provenance, versions_with
 from brink.user_file import read_text
 
-COMMANDS_VARIABLE: Final = "BRINK_COMMANDS"
-"""Environment variable with the folder of the definitions that workers on this machine may run."""
-OWN_FOLDER: Final = Path("brink-commands")
-"""That folder without the variable: where `brink run` puts the definitions that it runs."""
 MAX_DEFINITION_BYTES: Final = 4 * 1024**2
 MAX_FOLDER_BYTES: Final = 256 * 1024**2
 """Maximum size of an episode's working folder, and of each file in it."""
@@ -42,13 +39,6 @@ _LIMITS: Final = {"RLIMIT_FSIZE": MAX_FOLDER_BYTES, "RLIMIT_CORE": 0}
 log = logging.getLogger(__name__)
 
 
-def commands_folder() -> Path | None:
-    """Return the folder of the definitions that may run on this machine; None if there is none."""
-    named = os.environ.get(COMMANDS_VARIABLE)
-    folder = OWN_FOLDER if named is None else Path(named)
-    return folder if named != "" and folder.is_dir() else None
-
-
 def install(definition: Definition, program: str) -> None:
     """Allow this machine's own workers to run a definition.
 
@@ -56,8 +46,7 @@ def install(definition: Definition, program: str) -> None:
         definition: The definition.
         program: Digest of its program.
     """
-    folder = Path(os.environ.get(COMMANDS_VARIABLE) or OWN_FOLDER)
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = own_folder()
     path = folder / f"{definition.simulator_id(program).removesuffix('@1')}.json"
     partial = path.with_suffix(f".{os.getpid()}")
     partial.write_text(json.dumps({"problem": {"params": definition.document()}}, indent=1))

@@ -2,12 +2,14 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
+from brink.sim.programs.installed import COMMANDS_VARIABLE
 from brink.sim.testing import ContractBroken
 from brink.worker.driving_check import check_driving_system, drive_streets
 
@@ -117,10 +119,21 @@ def test_idm_keeps_the_contract_on_the_command_line(monkeypatch: pytest.MonkeyPa
     assert [one["violated_s"] for one in found["drives"]] == [{}, {}]
 
 
+def test_program_of_its_own_is_checked_by_its_definition(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv(COMMANDS_VARIABLE, str(tmp_path))
+    monkeypatch.setattr("brink.cli.driving.STREETS", 2)
+    said = CliRunner().invoke(app, ["driving", "check", str(EXAMPLES / "aeb_process.yaml")])
+    assert said.exit_code == 0, said.output
+    assert re.search(r"command:aeb_process@[0-9a-f]{16} keeps its contract in these streets", said.output)
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ("nobody@1", "expected a Python file, or one of modular@1"),
+        ("missing.yaml", "missing.yaml: cannot be read as YAML"),
+        ("nobody@1", "expected a Python or YAML file, or one of modular@1"),
         ("missing.py", "missing.py: no such file"),
         (
             "{broken}",

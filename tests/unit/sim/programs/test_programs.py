@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.running import assert_gone, new_mark, running
 
 from brink.sim.errors import SimulationCrashed
 from brink.sim.programs import Program, Supervisor, plain_environment
@@ -46,35 +47,9 @@ def soon() -> float:
     return time.monotonic() + PATIENCE_S
 
 
-def running(mark: str) -> list[str]:
-    """Return the command lines of the processes with an argument."""
-    found = []
-    for folder in Path("/proc").iterdir():
-        if folder.name.isdigit() and int(folder.name) != os.getpid():
-            try:
-                line = (folder / "cmdline").read_bytes().decode(errors="replace").split("\0")
-            except OSError:
-                continue
-            if mark in line:
-                found.append(" ".join(line))
-    return found
-
-
-def assert_gone(mark: str) -> None:
-    deadline = soon()
-    while found := running(mark):
-        assert time.monotonic() < deadline, found
-        time.sleep(0.01)
-
-
-def a_mark() -> str:
-    """Return a number of seconds that no other process sleeps."""
-    return f"{1000 + os.getpid()}.{time.monotonic_ns()}"
-
-
 @pytest.mark.parametrize("script", FORKS.values(), ids=FORKS)
 def test_nothing_that_a_program_started_outlives_it(supervisor: Supervisor, script: str) -> None:
-    mark = a_mark()
+    mark = new_mark()
     with start(supervisor, "sh", "-c", script.format(mark=mark)) as program:
         if "exit" in script:
             ending = program.wait(soon())
@@ -89,7 +64,7 @@ def test_nothing_that_a_program_started_outlives_it(supervisor: Supervisor, scri
 
 
 def test_a_program_that_forks_for_ever_is_caught(supervisor: Supervisor) -> None:
-    with start(supervisor, sys.executable, "-c", CHAIN, mark := a_mark()) as program:
+    with start(supervisor, sys.executable, "-c", CHAIN, mark := new_mark()) as program:
         ending = program.wait(soon())
     assert ending is not None
     assert ending.status == 0
@@ -98,7 +73,7 @@ def test_a_program_that_forks_for_ever_is_caught(supervisor: Supervisor) -> None
 
 def test_programs_die_with_the_process_that_runs_them_and_with_their_supervisor(tmp_path: Path) -> None:
     for whom in ("parent", "supervisor"):
-        mark = a_mark()
+        mark = new_mark()
         script = "sleep {0}" if whom == "supervisor" else "(setsid sleep {0} &) ; sleep {0}"
         code = f"""
 import json, time
