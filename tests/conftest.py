@@ -59,7 +59,6 @@ def pytest_collection() -> None:
 
 def pytest_collection_finish() -> None:
     """Exempt modules and tests from garbage collection, which would otherwise scan them again and again."""
-    gc.collect()
     gc.freeze()
     gc.enable()
 

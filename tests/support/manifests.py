@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,16 +30,22 @@ class MissingVariable(Exception):
     """A variable of docker-compose.yml that must be set is not set."""
 
 
+@cache
+def _documents(path: Path) -> tuple[dict[str, Any], ...]:
+    """Return what a YAML file holds; nobody changes it."""
+    return tuple(yaml.safe_load_all(path.read_text()))
+
+
 def manifests(kustomization: Path = KUBERNETES) -> Iterator[dict[str, Any]]:
     """Yield the resources that a kustomization applies, with its namespace-wide images and patches left out."""
-    for name in yaml.safe_load((kustomization / "kustomization.yaml").read_text())["resources"]:
-        yield from yaml.safe_load_all((kustomization / name).read_text())
+    for name in _documents(kustomization / "kustomization.yaml")[0]["resources"]:
+        yield from _documents(kustomization / name)
 
 
 def all_manifests() -> Iterator[tuple[Path, dict[str, Any]]]:
     """Yield every resource, also of files that are applied only on demand, with its file."""
     for path in sorted(KUBERNETES.rglob("*.yaml")):
-        for document in yaml.safe_load_all(path.read_text()):
+        for document in _documents(path):
             if document["kind"] not in ("Kustomization", "Component"):
                 yield path, document
 
@@ -77,7 +84,7 @@ def container(deployment: str) -> dict[str, Any]:
 def with_data() -> Iterator[dict[str, Any]]:
     """Yield the resources after the patches of the component `data`."""
     folder = KUBERNETES / "data"
-    patches = yaml.safe_load((folder / "kustomization.yaml").read_text())["patches"]
+    patches = _documents(folder / "kustomization.yaml")[0]["patches"]
     yield from manifests(folder)
     for document in manifests():
         patched = deepcopy(document)
@@ -107,9 +114,7 @@ def compose(environment: Mapping[str, str]) -> dict[str, Any]:
     Raises:
         MissingVariable: A variable that must be set is not set.
     """
-    replaced: dict[str, Any] = _interpolated(
-        yaml.safe_load((ROOT / "docker-compose.yml").read_text()), environment
-    )
+    replaced: dict[str, Any] = _interpolated(_documents(ROOT / "docker-compose.yml")[0], environment)
     return replaced
 
 
@@ -225,7 +230,7 @@ def scalings() -> dict[str, Scaling]:
 def extras_of_images() -> dict[str, tuple[str, ...]]:
     """Return what is installed in each image that the manifests name, by the documented `docker build` commands."""
     built = _build_commands((ROOT / "docs" / "how-to" / "run-with-docker.md").read_text())
-    images = yaml.safe_load((KUBERNETES / "kustomization.yaml").read_text())["images"]
+    images = _documents(KUBERNETES / "kustomization.yaml")[0]["images"]
     return {image["name"]: built[image["newTag"]] for image in images}
 
 
