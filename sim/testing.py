@@ -86,16 +86,17 @@ def check_simulator(
     other = make()
     for index in reversed(range(len(specs))):
         spec, wanted = specs[index], _compared(first[index])
-        recorded = simulator.run(spec, record=True)
-        for result in (recorded, simulator.run(spec), other.run(spec)):
+        recorded, elsewhere = simulator.run(spec, record=True), other.run(spec, record=True)
+        for result in (recorded, simulator.run(spec), elsewhere):
             _require(
                 _compared(result) == wanted,
                 f"equal results of equal specifications: {wanted}",
                 _compared(result),
             )
         _check_trace(spec, recorded)
-        again = other.run(spec, record=True).trace
-        _require(again == recorded.trace, "equal traces of equal specifications", spec.canonical_json())
+        _require(
+            elsewhere.trace == recorded.trace, "equal traces of equal specifications", spec.canonical_json()
+        )
 
 
 def _compared(result: EpisodeResult) -> tuple[object, ...]:

@@ -195,6 +195,15 @@ class Forgetful(RandomSearch):
         return replace(state, ledger=replace(state.ledger, seed=state.ledger.seed + 1))
 
 
+class Erratic(RandomSearch):
+    """Draws other solutions in each campaign."""
+
+    campaigns = itertools.count(1)
+
+    def start(self, space: SearchSpace, config: Any, *, seed: int, budget: int) -> RandomSearchState:
+        return super().start(space, config, seed=seed + next(self.campaigns), budget=budget)
+
+
 class Impatient(RandomSearch):
     """Depends on the order in which evaluations arrive."""
 
@@ -230,6 +239,7 @@ class Writable(RandomSearch):
     [
         (Repeating(), "duplicates"),
         (Forgetful(), "load"),
+        (Erratic(), "same seed"),
         (Impatient(), "order in which evaluations arrive"),
         (Optimist(), "every solution that did not fail"),
         (Writable(), "read-only"),
