@@ -28,8 +28,9 @@ from support.sessions import LongestFirst, SharedPostgres, slowest_files, use_me
 from xdist.remote import Producer
 from xdist.workermanage import WorkerController
 
-from brink.search import exploration, surrogate
+from brink.search import curves, exploration, surrogate
 from brink.search.algorithms import pool
+from brink.search.algorithms.tolerance import results
 from brink.search.analysis import boosted_trees
 from brink.server.db.engine import Engines, open_engines
 
@@ -118,6 +119,24 @@ def few_trees(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the search for pairs grow small forests, where the quality of its choices does not matter."""
     monkeypatch.setattr(surrogate, "TREES", 6)
     monkeypatch.setattr(exploration, "TREES", 6)
+
+
+@pytest.fixture(scope="module")
+def fewer_trees() -> Iterator[None]:
+    """Let the searches of a file grow a quarter of the trees, of which small problems do not need more."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(surrogate, "TREES", 15)
+        patched.setattr(exploration, "TREES", 10)
+        yield
+
+
+@pytest.fixture(scope="module")
+def smaller_library() -> Iterator[None]:
+    """Compare tolerances with a fifth of the curves, and their searches with a quarter: enough for few drives."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(curves, "LIBRARY", 60_000)
+        patched.setattr(results, "_CURVES", 5_000)
+        yield
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ from brink.search.testing import ContractBroken, check_algorithm, example_spaces
 from brink.search.traffic.constraint import Participants
 from brink.sim.catalogue import load_plugin, plugin_ids
 
+pytestmark = pytest.mark.usefixtures("smaller_library")
 GROUP = "brink.algorithms"
 SIMOOD = "simood-ga@1"
 REPEAT = "repeat@1"

@@ -23,7 +23,7 @@ from brink.cli.commands import app
 from brink.cli.options import with_api
 from brink.report import campaign_facts
 from brink.report.campaign import campaign_report
-from brink.search import curves, surrogate
+from brink.search import surrogate
 from brink.server.campaigns.body import parse_body
 
 API = "/api/v1/campaigns"
@@ -226,10 +226,10 @@ def test_an_unfinished_campaign_says_so(database_url: str) -> None:
 
 @pytest.mark.long("runs campaigns")
 @on_sqlite
+@pytest.mark.usefixtures("smaller_library")
 def test_a_search_for_tolerances_shows_sentences_and_curves_instead_of_pairs(
     database_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(curves, "LIBRARY", 60_000)
     with coordinator(database_url) as client:
         campaign = tolerance_finished(
             client, tolerance_body(simulations=400, conditions=[{"name": "always"}])

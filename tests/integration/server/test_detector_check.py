@@ -19,7 +19,6 @@ from support.tolerance import body, camera, finished
 from typer.testing import CliRunner, Result
 
 from brink.cli.commands import app
-from brink.search import curves
 
 pytestmark = [pytest.mark.long("runs a search for tolerances; the checks have unit tests"), module_on_sqlite]
 RECORDINGS = Path(__file__).parents[2] / "data" / "recordings"
@@ -61,15 +60,13 @@ class Checked:
 
 
 @pytest.fixture(scope="module")
-def check(module_databases: Databases) -> Iterator[Checked]:
+def check(module_databases: Databases, smaller_library: None) -> Iterator[Checked]:
     cells = {"type": ["miss", "late"], "target": ["lead", "pedestrian"]}
-    with pytest.MonkeyPatch.context() as patched, module_databases.database() as url:
-        patched.setattr(curves, "LIBRARY", 60_000)
-        with coordinator(url) as client:
-            search = finished(
-                client, body(1, 900, cells=cells, generation_size=120, in_flight=1, without_error=10)
-            )
-            yield Checked(url, search, finished(client, camera()))
+    with module_databases.database() as url, coordinator(url) as client:
+        search = finished(
+            client, body(1, 900, cells=cells, generation_size=120, in_flight=1, without_error=10)
+        )
+        yield Checked(url, search, finished(client, camera()))
 
 
 def recording(folder: Path, *, drives: int = 20, missed: range = range(30, 70), score: float = 0.9) -> Path:

@@ -7,6 +7,7 @@ from typing import Any
 from urllib.parse import parse_qs
 
 import httpx
+import pytest
 from PIL import Image
 from support.api import FakeWorker, ball, completes, expect, finish, submit
 from support.problems import REQUIREMENT, SIMULATOR
@@ -16,6 +17,7 @@ from support.urban_pairs import SAFE, UNSAFE, judged, row
 from brink.server.problems.urban_injected import SIMULATOR as URBAN
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 
+pytestmark = pytest.mark.usefixtures("few_trees")
 API = "/api/v1/campaigns"
 YAML = {"Content-Type": "application/yaml"}
 SEARCH = ball(simulations=60)

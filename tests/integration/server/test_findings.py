@@ -25,7 +25,7 @@ from brink.server.findings.kind import FINDINGS, Subject, all_kinds
 from brink.server.problems.catalogue import ALGORITHMS, describe_algorithms
 from brink.sim import catalogue
 
-pytestmark = module_on_sqlite
+pytestmark = [pytest.mark.usefixtures("smaller_library"), module_on_sqlite]
 API = "/api/v1/campaigns"
 ROOT = Path(__file__).parents[3]
 
@@ -169,6 +169,7 @@ def headlines(client: httpx.Client, campaign: str) -> dict[str, int]:
 SLOTTED = {"id": "slotted@1"}
 
 
+@pytest.mark.usefixtures("few_trees", "small_pools")
 def test_headlines_of_all_algorithms_have_at_most_25_words(client: httpx.Client) -> None:
     own = [
         one

@@ -20,7 +20,10 @@ from brink.server.dashboard import found
 from brink.server.findings.kind import Listed
 from brink.server.findings.pairs.kind import PairsKind
 
-pytestmark = pytest.mark.long("the words of the list of campaigns")
+pytestmark = [
+    pytest.mark.long("the words of the list of campaigns"),
+    pytest.mark.usefixtures("few_trees", "smaller_library"),
+]
 
 API = "/api/v1"
 EDGE = {"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}}

@@ -204,6 +204,7 @@ def test_without_a_pair_the_nearest_opposite_verdicts_are_named(client: httpx.Cl
 
 
 @on_sqlite
+@pytest.mark.usefixtures("few_trees")
 def test_the_settings_of_the_search_for_pairs_are_the_default(client: httpx.Client) -> None:
     edge = {"id": "edge@1", "params": {"eps": 0.05, "d_th": 0.15}}
     campaign = submit(client, body(120, algorithm=edge))

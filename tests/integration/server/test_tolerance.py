@@ -15,9 +15,8 @@ from support.tolerance import body, camera, finished
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.search import curves
 
-pytestmark = module_on_sqlite
+pytestmark = [pytest.mark.usefixtures("smaller_library"), module_on_sqlite]
 API = "/api/v1/campaigns"
 
 
@@ -33,13 +32,6 @@ class Service:
 
     def get(self, path: str = "", status: int = 200, **params: Any) -> Any:
         return expect(self.client.get(f"{API}/{self.campaign}/tolerance{path}", params=params), status)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def smaller_library() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(curves, "LIBRARY", 60_000)
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ TRAINING, FRESH = 120, 80
 
 
 @pytest.fixture
-def made_up(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def made_up(monkeypatch: pytest.MonkeyPatch, few_trees: None, small_pools: None) -> list[str]:
     """Make drives up: a third is violated, after a second of high speed. Returns the digests of those that ran."""
     ran: list[str] = []
 

@@ -1,5 +1,6 @@
 """Studies: the same search as a campaign, told its results by somebody else."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from brink import Study, Trial
 from brink.search.errors import DocumentError, OrderError, SpaceError, UnsupportedSpace
 from brink.server.errors import InvalidInput
 
+pytestmark = pytest.mark.usefixtures("fewer_trees")
 SPACE = {"x": (0.0, 1.0), "y": (0.0, 1.0)}
 SHARP = {"checks": 0, "margin": 0.0, "eps": 0.005, "d_th": 0.05}
 
@@ -32,6 +34,12 @@ def finished(study: Study) -> Study:
     return study
 
 
+@cache
+def undisturbed(algorithm: str) -> Study:
+    """Return a study that is neither stored nor told its results in another order."""
+    return finished(Study(SPACE, algorithm, simulations=90))
+
+
 def test_a_study_finds_pairs_on_a_known_boundary() -> None:
     study = finished(Study(SPACE, simulations=250, params=SHARP))
     assert len(study.to_pandas()) == 250
@@ -49,20 +57,18 @@ def test_a_study_finds_pairs_on_a_known_boundary() -> None:
 @given(order=st.randoms(use_true_random=False))
 @settings(max_examples=5, deadline=None)
 def test_the_order_of_results_does_not_matter(algorithm: str, order: object) -> None:
-    first = finished(Study(SPACE, algorithm, simulations=90))
-    second = Study(SPACE, algorithm, simulations=90)
-    while trials := second.ask():
+    study = Study(SPACE, algorithm, simulations=90)
+    while trials := study.ask():
         order.shuffle(trials)  # type: ignore[attr-defined]
         for trial in trials:
-            second.tell(trial, outside(trial))
-    assert first.to_pandas().equals(second.to_pandas())
+            study.tell(trial, outside(trial))
+    assert study.to_pandas().equals(undisturbed(algorithm).to_pandas())
 
 
 @pytest.mark.parametrize("algorithm", EACH)
 @pytest.mark.parametrize("told", [0, 7, 61])
 def test_a_saved_study_goes_on_where_it_was(algorithm: str, told: int, tmp_path: Path) -> None:
-    whole = finished(Study(SPACE, algorithm, simulations=120))
-    study = Study(SPACE, algorithm, simulations=120)
+    study = Study(SPACE, algorithm, simulations=90)
     count = 0
     while count < told:
         for trial in study.ask():
@@ -72,7 +78,7 @@ def test_a_saved_study_goes_on_where_it_was(algorithm: str, told: int, tmp_path:
     loaded = Study.load(study.save(tmp_path / "study.json"))
     for trial in loaded.open:
         loaded.tell(trial, outside(trial))
-    assert finished(loaded).to_pandas().equals(whole.to_pandas())
+    assert finished(loaded).to_pandas().equals(undisturbed(algorithm).to_pandas())
 
 
 def test_trials_are_told_once_and_only_if_asked_for() -> None:

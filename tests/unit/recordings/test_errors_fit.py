@@ -63,10 +63,10 @@ def known() -> ErrorProcess:
     return process
 
 
-def recorded(process: ErrorProcess, seed: int, users: int = 12) -> ErrorMeter:
-    """Return a drive of half a minute in which a process reports road users that come and go."""
-    meter = ErrorMeter(Camera(), is_excerpt=True)
-    samples: list[Sample] = []
+@cache
+def sampled(seed: int, users: int) -> tuple[Sample, ...]:
+    """Return what the known process reports in half a minute, in the order of time."""
+    process, samples = known(), list[Sample]()
     for track in range(users):
         name = GROUPS[track % 3]
         label, depth_m = LABELS[name], NEAR if track % 2 else FAR
@@ -79,7 +79,13 @@ def recorded(process: ErrorProcess, seed: int, users: int = 12) -> ErrorMeter:
                 0.1 * step, track, Target.LEAD, name == "lead", True, label, depth_m, drawn is not None
             )
             samples.append(sample if drawn is None else sample._replace(**drawn._asdict()))
-    meter.samples = sorted(samples, key=lambda sample: sample.time_s)
+    return tuple(sorted(samples, key=lambda sample: sample.time_s))
+
+
+def recorded(seed: int, users: int = 12) -> ErrorMeter:
+    """Return a drive of half a minute in which the known process reports road users that come and go."""
+    meter = ErrorMeter(Camera(), is_excerpt=True)
+    meter.samples = [*sampled(seed, users)]
     ghosts = {
         step: frozenset({ObstacleLabel.PERSON}) for start in (40, 140) for step in range(start, start + 5)
     }
@@ -89,7 +95,7 @@ def recorded(process: ErrorProcess, seed: int, users: int = 12) -> ErrorMeter:
 
 @cache
 def fitted(drives: int = 8, **more: Any) -> FittedErrors:
-    return fit_errors([recorded(known(), seed) for seed in range(drives)], "mine", **more)
+    return fit_errors([recorded(seed) for seed in range(drives)], "mine", **more)
 
 
 def test_a_fit_to_draws_of_a_known_process_gives_it_back() -> None:
@@ -110,7 +116,7 @@ def test_a_fit_to_draws_of_a_known_process_gives_it_back() -> None:
 
 
 def test_images_at_half_the_rate_are_fitted_by_time_and_not_by_number() -> None:
-    meters = [recorded(known(), seed) for seed in range(60)]
+    meters = [recorded(seed) for seed in range(60)]
     for meter in meters:
         times = [time_s for time_s, _ in meter.ghosts][::2]
         meter.ghosts = meter.ghosts[::2]
@@ -128,8 +134,8 @@ def test_images_at_half_the_rate_are_fitted_by_time_and_not_by_number() -> None:
 
 
 def test_images_at_twice_the_rate_are_fitted_alike() -> None:
-    once = [recorded(known(), seed) for seed in range(FEWEST_DRIVES)]
-    twice = [recorded(known(), seed) for seed in range(FEWEST_DRIVES)]
+    once = [recorded(seed) for seed in range(FEWEST_DRIVES)]
+    twice = [recorded(seed) for seed in range(FEWEST_DRIVES)]
     for meter in twice:
         meter.samples = [
             sample._replace(time_s=sample.time_s + later) for sample in meter.samples for later in (0.0, 0.05)
@@ -140,7 +146,7 @@ def test_images_at_twice_the_rate_are_fitted_alike() -> None:
 
 
 def test_lives_that_the_recording_cuts_off_do_not_count_as_reported_late() -> None:
-    meters = [recorded(known(), seed, users=3) for seed in range(FEWEST_DRIVES)]
+    meters = [recorded(seed, users=3) for seed in range(FEWEST_DRIVES)]
     for meter in meters:  # in sight from the first image to the last, and never reported
         meter.samples = [sample._replace(is_seen=False) for sample in meter.samples]
     found = fit_errors(meters, "mine")
@@ -261,7 +267,7 @@ def test_a_type_of_error_can_be_left_out(name: str) -> None:
 
 
 def test_what_the_recording_does_not_have_is_said() -> None:
-    meters = [recorded(known(), seed) for seed in range(FEWEST_DRIVES)]
+    meters = [recorded(seed) for seed in range(FEWEST_DRIVES)]
     for meter in meters:
         meter.samples = [sample for sample in meter.samples if sample.label is ObstacleLabel.VEHICLE]
     found = fit_errors(meters, "mine")
@@ -276,7 +282,7 @@ def test_what_the_recording_does_not_have_is_said() -> None:
 
 
 def test_replicates_never_take_what_is_in_few_drives_for_perfect() -> None:
-    meters = [recorded(known(), seed) for seed in range(FEWEST_DRIVES)]
+    meters = [recorded(seed) for seed in range(FEWEST_DRIVES)]
     for meter in meters[1:]:
         meter.samples = [sample for sample in meter.samples if sample.label is ObstacleLabel.VEHICLE]
     found = fit_errors(meters, "mine")
@@ -290,7 +296,7 @@ def test_replicates_never_take_what_is_in_few_drives_for_perfect() -> None:
 def test_too_little_is_refused() -> None:
     with pytest.raises(RecordingError, match=f"at least {FEWEST_DRIVES} drives.*got 2"):
         fitted(2)
-    meters = [recorded(known(), seed) for seed in range(FEWEST_DRIVES)]
+    meters = [recorded(seed) for seed in range(FEWEST_DRIVES)]
     for meter in meters:
         meter.samples = []
     with pytest.raises(RecordingError, match="visible road users"):

@@ -1,13 +1,12 @@
 """The search for pairs across the boundary."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 
-from brink.search import surrogate
 from brink.search.algorithm import Candidate, Evaluation, Failed, Scored, ask_all
 from brink.search.algorithms.edge import MAX_FAILURES, Bracket, Edge, EdgeConfig, EdgeState, Purpose, Status
 from brink.search.algorithms.edge.planning import _hits
@@ -28,12 +27,7 @@ ROAD = SearchSpace(
 )
 
 
-@pytest.fixture(scope="module", autouse=True)
-def fewer_trees() -> Iterator[None]:
-    """Let the searches grow a quarter of the trees, of which these small problems do not need more."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(surrogate, "TREES", 15)
-        yield
+pytestmark = pytest.mark.usefixtures("fewer_trees")
 
 
 def search(

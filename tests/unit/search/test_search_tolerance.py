@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections import Counter
-from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from brink.search import curves as analysis
 from brink.search.algorithm import Candidate, Evaluation, Failed, Scored, ask_all
 from brink.search.algorithms.tolerance import (
     FIRST_SCREENED,
@@ -20,7 +18,6 @@ from brink.search.algorithms.tolerance import (
     Tolerance,
     ToleranceConfig,
     ToleranceState,
-    results,
     tally,
 )
 from brink.search.curves import LEVELS, Counts, Curve, Screening, curves_of, library, severities, severity_at
@@ -63,13 +60,7 @@ SETTINGS: dict[str, Any] = {
 }
 
 
-@pytest.fixture(scope="module", autouse=True)
-def smaller_library() -> Iterator[None]:
-    """Compare with a fifth of the curves, the search with a quarter, which these coarse checks do with."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(analysis, "LIBRARY", 60_000)
-        patched.setattr(results, "_CURVES", 5_000)
-        yield
+pytestmark = pytest.mark.usefixtures("smaller_library")
 
 
 def steps(at: float, height: float, scale: float = 0.05) -> FloatArray:

@@ -1,6 +1,5 @@
 """Fresh drives and the predictions of tolerances: a cell without fresh drives has no verdict."""
 
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import cast
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 from support.tolerance import body
 
-from brink.search import curves
 from brink.search.algorithms.tolerance.counting import tally
 from brink.search.algorithms.tolerance.layout import Layout
 from brink.search.algorithms.tolerance.settings import ToleranceConfig
@@ -20,12 +18,7 @@ from brink.server.campaigns.tolerance import CampaignTolerance
 from brink.server.findings.tolerances.agreement import agreement_view
 from brink.server.states import CampaignStatus
 
-
-@pytest.fixture(autouse=True)
-def smaller_library() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(curves, "LIBRARY", 20_000)
-        yield
+pytestmark = pytest.mark.usefixtures("smaller_library")
 
 
 def finished(seed: int) -> tuple[Campaign, Plan]:
