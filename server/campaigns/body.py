@@ -354,20 +354,23 @@ def read_campaign_file(path: Path) -> CampaignBody:
 
 
 def with_files(body: CampaignBody, folder: Path) -> CampaignBody:
-    """Return a campaign with the content of the files that its problem takes along.
+    """Return a campaign with the content of the files that its problem takes along, and the id of its program.
 
     Args:
         body: The campaign, which names them by path.
         folder: Folder of relative paths.
 
     Raises:
-        InvalidInput: A file cannot be read.
+        InvalidInput: A file cannot be read, or is not what it should be.
     """
-    readers = entry_points(group=PROBLEM_FILES, name=body.problem.id)
-    if not readers:
-        return body
+    params = dict(body.problem.params)
     try:
-        params = next(iter(readers)).load()(body.problem.params, folder)
+        for reader in entry_points(group=PROBLEM_FILES, name=body.problem.id):
+            params = reader.load()(params, folder)
+        if str(params.get("driving")).startswith("command:"):
+            from brink.sim.driving_systems.command import read_reference  # loads the driving world
+
+            params["driving"] = read_reference(str(params["driving"]), folder)
     except DefinitionError as error:
         raise InvalidInput.at(f"/problem/params/{error.field}", str(error)) from None
     return body.model_copy(update={"problem": PluginChoice(id=body.problem.id, params=params)})

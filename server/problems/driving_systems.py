@@ -6,6 +6,7 @@ from typing import Any
 
 from brink.search.errors import ConfigError
 from brink.search.settings import setting
+from brink.sim.driving_systems.command import install_read
 from brink.sim.driving_systems.option import OWN, DrivingOption, factory_of, wrong_settings
 from brink.sim.episode import Json
 from brink.sim.errors import InvalidEpisode
@@ -14,7 +15,8 @@ from brink.sim.errors import InvalidEpisode
 def driving_setting() -> Any:
     """Return the field ``driving`` of a problem's parameters, annotated ``str``."""
     return setting(
-        OWN, help="Driving system: its id, or MODULE:CLASS of a plug-in module; by default Brink's own."
+        OWN,
+        help="Driving system: its id, MODULE:CLASS of a plug-in module, or command:FILE; by default Brink's own.",
     )
 
 
@@ -66,13 +68,19 @@ def about_driving(driving: str) -> str:
     )
 
 
-def wrong_driving(driving: str) -> list[tuple[str, str]]:
-    """Return the errors in the parameter ``driving``, as pairs of a parameter's name and a message.
+class Driven:
+    """What problems share in which a driving system of users may take the place of Brink's own."""
 
-    None of the driving system's code runs here: only workers make one.
-    """
-    try:
-        factory_of(driving, "driving")
-    except InvalidEpisode as error:
-        return [("driving", str(error).removeprefix("driving: "))]
-    return []
+    params: Any
+
+    def wrong_inputs(self) -> list[tuple[str, str]]:
+        """Return what is wrong with the name of the driving system. None of its code runs here."""
+        try:
+            factory_of(self.params.driving, "driving")
+        except InvalidEpisode as error:
+            return [("driving", str(error).removeprefix("driving: "))]
+        return []
+
+    def install(self) -> None:
+        """Allow the workers of this machine to run the driving system, if it is a program of the campaign file."""
+        install_read(self.params.driving)

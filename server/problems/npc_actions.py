@@ -30,12 +30,12 @@ from brink.server.problems.base import (
 )
 from brink.server.problems.camera_settings import latency_setting, least_visible_setting, pitch_setting
 from brink.server.problems.driving_systems import (
+    Driven,
     about_driving,
     check_driving_settings,
     driving_options,
     driving_setting,
     driving_settings_setting,
-    wrong_driving,
 )
 from brink.server.problems.traffic_changes import words_of_traffic_change
 from brink.sim.driving_systems.option import OWN
@@ -148,7 +148,7 @@ _RANKS: Final[Mapping[Avoidable | None, int]] = {
 """Ranks of violations; a solution without any has rank 1."""
 
 
-class NpcActions(SimulatedProblem):
+class NpcActions(Driven, SimulatedProblem):
     """Scripted road users that challenge a driving system."""
 
     id: ClassVar[str] = "npc-actions@1"
@@ -159,6 +159,7 @@ class NpcActions(SimulatedProblem):
     has_component = True
     names_niches = True
     extra = "vision"
+    params: NpcActionsParams
 
     def __init__(self, params: NpcActionsParams) -> None:
         self.params = params
@@ -204,7 +205,7 @@ class NpcActions(SimulatedProblem):
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return what is wrong with the driving system's name, and with the detector's name or file."""
         detector = [] if self.params.sight == "oracle" else wrong_detector(self.params.detector)
-        return [*wrong_driving(self.params.driving), *detector]
+        return [*super().wrong_inputs(), *detector]
 
     def participants(self, vectors: Vectors) -> tuple[Participant, ...]:
         """Return the road users of a candidate."""

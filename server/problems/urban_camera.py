@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 from brink.search.settings import setting
 from brink.search.space import SearchSpace
 from brink.server.problems.base import SimulatedProblem, Vectors, wrong_detector
-from brink.server.problems.driving_systems import about_driving, wrong_driving
+from brink.server.problems.driving_systems import Driven, about_driving
 from brink.server.problems.requirements import requirement_setting
 from brink.server.problems.urban_injected import (
     REQUIREMENTS,
@@ -40,7 +40,7 @@ class UrbanCameraParams(UrbanParams):
     timeout_s: float = setting(120.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")
 
 
-class UrbanScenarios(SimulatedProblem):
+class UrbanScenarios(Driven, SimulatedProblem):
     """Urban driving in which a candidate is a scenario, and the obstacle detector is the same in all of them.
 
     Attributes:
@@ -62,10 +62,6 @@ class UrbanScenarios(SimulatedProblem):
         self.needs = self.simulator
         self.timeout_s = params.timeout_s
         self.about_component = (type(self).about_component + about_driving(params.driving)).strip()
-
-    def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return what is wrong with the name of the driving system."""
-        return wrong_driving(self.params.driving)
 
     def behaviour(self, seed: int) -> Mapping[str, Json]:
         """Return the behaviour of the detector in an episode."""

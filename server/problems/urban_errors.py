@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final
 from brink.search.settings import setting
 from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.server.problems.base import BEHAVIOUR, MeasuredSeverity, Vectors
-from brink.server.problems.driving_systems import about_driving, wrong_driving
+from brink.server.problems.driving_systems import Driven, about_driving
 from brink.server.problems.error_slots import (
     NO_ERROR,
     SCENARIO,
@@ -98,7 +98,7 @@ def errors_component(count: int, duration_s: float) -> Component:
     )
 
 
-class UrbanErrors(PerceptionErrors[DetectionError]):
+class UrbanErrors(Driven, PerceptionErrors[DetectionError]):
     """Urban driving with an obstacle detector that reports the truth with errors."""
 
     id: ClassVar[str] = "urban-errors@1"
@@ -143,10 +143,6 @@ class UrbanErrors(PerceptionErrors[DetectionError]):
         self.needs = SIMULATOR
         self.timeout_s = params.timeout_s
         self.about_component = (type(self).about_component + about_driving(params.driving)).strip()
-
-    def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return what is wrong with the name of the driving system."""
-        return wrong_driving(self.params.driving)
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a scenario and the errors in it."""

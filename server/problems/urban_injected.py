@@ -31,12 +31,12 @@ from brink.search.space import (
 from brink.server.problems.base import BEHAVIOUR, Activity, SeverityScale, SimulatedSolution, Vectors
 from brink.server.problems.camera_settings import latency_setting, least_visible_setting, pitch_setting
 from brink.server.problems.driving_systems import (
+    Driven,
     about_driving,
     check_driving_settings,
     driving_options,
     driving_setting,
     driving_settings_setting,
-    wrong_driving,
 )
 from brink.server.problems.error_slots import SCENARIO, SlottedBehaviour, interchangeable, prefixes
 from brink.server.problems.requirements import check_requirements, chosen_requirements, requirement_setting
@@ -200,7 +200,7 @@ def behaviour_component(duration_s: float, count: int = b.TRAJECTORY_COUNT) -> C
     )
 
 
-class UrbanInjected(SlottedBehaviour):
+class UrbanInjected(Driven, SlottedBehaviour):
     """Urban driving with an obstacle detector whose detections are injected."""
 
     id: ClassVar[str] = "urban-injected@1"
@@ -231,10 +231,6 @@ class UrbanInjected(SlottedBehaviour):
         self._trajectories = _trajectories(self.space)
         self.timeout_s = params.timeout_s
         self.about_component = (type(self).about_component + about_driving(params.driving)).strip()
-
-    def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return what is wrong with the name of the driving system."""
-        return wrong_driving(self.params.driving)
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a scenario and a behaviour."""

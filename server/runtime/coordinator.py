@@ -214,6 +214,9 @@ class WorkerProcesses:
         """Replace the workers that have died; return their number."""
         dead = [process for process in self._running if process.poll() is not None]
         self._running = [process for process in self._running if process.poll() is None]
+        for process in dead:
+            if process.stdin is not None:
+                process.stdin.close()
         if dead:
             logging.getLogger(__name__).warning("replacing workers that died: %d", len(dead))
             self.start(len(dead))

@@ -195,6 +195,33 @@ def _file_digest(file: Path) -> str:
         raise DefinitionError(OPTION, f"{file}: cannot be read: {error.strerror}") from None
 
 
+_read: dict[str, Definition] = {}
+"""The definitions whose files this process has read, by id."""
+
+
+def read_reference(driving: str, folder: Path) -> str:
+    """Return the id of a driving system that a campaign file names as ``command:FILE``; any other name as it is.
+
+    Args:
+        driving: The name.
+        folder: Folder of the campaign file.
+
+    Raises:
+        DefinitionError: The file is no definition, or the program cannot run here.
+    """
+    if not driving.startswith(PREFIX) or is_id(driving):
+        return driving
+    definition = Definition.of(folder / driving.removeprefix(PREFIX))
+    _read[system := definition.id()] = definition
+    return system
+
+
+def install_read(system: str) -> None:
+    """Allow the workers of this machine to run a definition if this process has read its file."""
+    if system in _read:
+        install(_read[system])
+
+
 def is_id(system: str) -> bool:
     """Return whether a text is the id of a definition."""
     return _ID.fullmatch(system) is not None

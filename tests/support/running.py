@@ -12,9 +12,9 @@ def new_mark() -> str:
     return f"{1000 + os.getpid()}.{time.monotonic_ns()}"
 
 
-def running(mark: str) -> list[str]:
-    """Return the command lines of the processes with an argument."""
-    found = []
+def running(mark: str) -> dict[int, str]:
+    """Return the process ids and command lines of the processes with an argument."""
+    found = {}
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit() and int(folder.name) != os.getpid():
             try:
@@ -22,8 +22,13 @@ def running(mark: str) -> list[str]:
             except OSError:
                 continue
             if mark in line:
-                found.append(" ".join(line))
+                found[int(folder.name)] = " ".join(line)
     return found
+
+
+def parent_of(pid: int) -> int:
+    """Return the process id of a process's parent."""
+    return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
 def assert_gone(mark: str) -> None:
