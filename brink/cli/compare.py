@@ -1,7 +1,7 @@
-"""`brink compare`: pairs and DBS of campaigns side by side, each with its control."""
+"""`brink compare`: thresholds, pairs and DBS of campaigns side by side, the last with their controls."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, TypeAlias
 
 import typer
 from rich.console import Console
@@ -25,13 +25,26 @@ from brink.cli.options import (
 )
 from brink.report.comparison import compared_archives, simulator_words
 from brink.search.analysis.comparison import Row, control_summaries
+from brink.search.analysis.confirmation import Confirmation
 from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS
 from brink.search.errors import TooManyPairs
+from brink.search.thresholds import Outcome
 from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.errors import InvalidInput
+from brink.server.findings.finding import Finding
 from brink.server.findings.pairs.views import PairsView
+from brink.server.findings.table import MOST_ROWS
+from brink.server.findings.thresholds.views import ThresholdsView
+
+Pairs: TypeAlias = Mapping[str, PairsView | TooManyPairs]
+"""The pairs of each campaign."""
+Thresholds: TypeAlias = Mapping[str, Mapping[str, int]]
+"""The counts of each campaign's thresholds; empty if no campaign searches for any."""
+_PAIR_COLUMNS: Final = ("distinct pairs", "simulated again", "confirmed")
+_THRESHOLD_COLUMNS: Final = ("thresholds", "kinds", "ends simulated again", "confirmed")
+DASH: Final = "–"
 
 
 def compare(
@@ -54,9 +67,10 @@ def compare(
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare campaigns: their pairs, and DBS and strict DBS at the paper's thresholds, each with its control.
+    """Compare campaigns by what their searches are for: thresholds, pairs, or the boundary.
 
-    DBS is shown for campaigns that search for the boundary it measures, not for searches for pairs.
+    Thresholds of all campaigns are counted if one of them searches for thresholds, pairs if one does not. DBS and
+    strict DBS, at the paper's thresholds and each with its control, are shown for searches for the boundary.
 
     Example: brink compare 3f2a 91bc 77d0
 
@@ -67,20 +81,26 @@ def compare(
             raise InvalidInput.at("--d-th", f"expected one of {', '.join(map(str, D_THS))}, got {value:g}")
     unique = list(dict.fromkeys(campaigns))
 
-    async def work(
-        api: Api,
-    ) -> tuple[list[FetchedArchive], list[Progress], dict[str, PairsView | TooManyPairs]]:
+    async def work(api: Api) -> tuple[list[FetchedArchive], list[Progress], Pairs, Thresholds]:
         fetched = [await fetch_archive(api, campaign) for campaign in unique]
         since = {"since": ALL_GENERATIONS}
         progress = [await api.read(Progress, f"/campaigns/{one}/progress", since) for one in unique]
-        return fetched, progress, {one.id: await read_all_pairs(api, one.id) for one in progress}
+        thresholds = {}
+        if any(one.is_for("thresholds") for one in progress):
+            thresholds = {one.id: await _read_thresholds(api, one.id) for one in progress}
+        return fetched, progress, {one.id: await read_all_pairs(api, one.id) for one in progress}, thresholds
 
-    fetched, progress, pairs = with_api(server, database, work)
+    fetched, progress, pairs, thresholds = with_api(server, database, work)
     rows, simulators = compared_archives(fetched, control=control), {one.id: one.simulator for one in fetched}
     if as_json:
         print_json(
             [
-                row | {"simulator": simulators[row["campaign"]], "pairs": _counts(pairs[row["campaign"]])}
+                row
+                | {
+                    "simulator": simulators[row["campaign"]],
+                    "pairs": _counts(pairs[row["campaign"]]),
+                    "thresholds": thresholds.get(row["campaign"]),
+                }
                 for row in rows_json(rows)
             ]
         )
@@ -89,8 +109,20 @@ def compare(
     if words := simulator_words(fetched):
         screen.print(words, soft_wrap=True, style="yellow")
         screen.print()
-    screen.print(_pairs_table(progress, pairs))
-    screen.print()
+    others = [one for one in progress if not one.is_for("thresholds")]
+    if thresholds:
+        screen.print(_table("Thresholds", progress, _THRESHOLD_COLUMNS, _threshold_cells(thresholds)))
+        if others:
+            screen.print(
+                "A threshold takes at least eight simulations along one number, which only a search for thresholds "
+                f"makes on purpose. To look for some between the sides of pairs: {program()} pairs ID --sharpen",
+                soft_wrap=True,
+                style="dim",
+            )
+        screen.print()
+    if others:
+        screen.print(_table("Pairs across the boundary", progress, _PAIR_COLUMNS, _pair_cells(pairs)))
+        screen.print()
     boundary = {one.id for one in progress if one.is_for("boundary")}
     if shown := [row for row in rows if row.campaign in boundary]:
         print_rows(screen, shown, d_th or PAPER_D_THS)
@@ -107,19 +139,56 @@ def _counts(pairs: PairsView | TooManyPairs) -> dict[str, int] | None:
     return pairs.model_dump(mode="json", include=names)
 
 
-def _pairs_table(progress: Sequence[Progress], pairs: Mapping[str, PairsView | TooManyPairs]) -> Table:
-    columns = ("simulations", "failed", "distinct pairs", "simulated again", "confirmed")
-    table = plain_table("", *columns, right=columns, title="Pairs across the boundary")
+def _table(
+    title: str, progress: Sequence[Progress], columns: Sequence[str], cells: Mapping[str, Sequence[str]]
+) -> Table:
+    columns = ("simulations", "failed", *columns)
+    table = plain_table("", *columns, right=columns, title=title)
     names = [one.name for one in progress]
     for one in progress:
         label = one.name if names.count(one.name) == 1 else f"{one.name} {one.id}"
-        cells = f"{one.simulations:,}", f"{failures_of(one):,}"
-        if (counts := _counts(pairs[one.id])) is None:
-            table.add_row(label, *cells, "too many to tell apart", "–", "–")
-        else:
-            confirmed = f"{counts['confirmed']:,}" if counts["tried"] else "–"
-            table.add_row(label, *cells, f"{counts['distinct']:,}", f"{counts['tried']:,}", confirmed)
+        table.add_row(label, f"{one.simulations:,}", f"{failures_of(one):,}", *cells[one.id])
     return table
+
+
+def _pair_cells(pairs: Pairs) -> dict[str, tuple[str, ...]]:
+    cells = {}
+    for campaign, found in pairs.items():
+        if (counts := _counts(found)) is None:
+            cells[campaign] = ("too many to tell apart", DASH, DASH)
+        else:
+            confirmed = f"{counts['confirmed']:,}" if counts["tried"] else DASH
+            cells[campaign] = (f"{counts['distinct']:,}", f"{counts['tried']:,}", confirmed)
+    return cells
+
+
+async def _read_thresholds(api: Api, campaign: str) -> dict[str, int]:
+    """Return the numbers of a campaign's thresholds, of their kinds, and of those with both ends confirmed."""
+    found = await api.read(Finding, f"/campaigns/{campaign}/findings/thresholds", {"rows": MOST_ROWS})
+    if found.view is None:
+        return dict.fromkeys(("thresholds", "kinds", "tried", "confirmed"), 0)
+    view = ThresholdsView.model_validate(found.view)
+    lines = [one for one in view.thresholds if one.outcome is Outcome.THRESHOLD]
+    states = [one.pair.confirmation for one in lines if one.pair is not None]
+    untried = states.count(Confirmation.NOT_TRIED) + states.count(Confirmation.PENDING)
+    return {
+        "thresholds": len(lines),
+        "kinds": view.kinds,
+        "tried": len(states) - untried,
+        "confirmed": states.count(Confirmation.CONFIRMED),
+    }
+
+
+def _threshold_cells(thresholds: Thresholds) -> dict[str, tuple[str, ...]]:
+    return {
+        campaign: (
+            f"{counts['thresholds']:,}",
+            f"{counts['kinds']:,}",
+            f"{counts['tried']:,}",
+            f"{counts['confirmed']:,}" if counts["tried"] else DASH,
+        )
+        for campaign, counts in thresholds.items()
+    }
 
 
 def rows_json(rows: Sequence[Row]) -> list[dict[str, Any]]:

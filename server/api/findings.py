@@ -8,7 +8,8 @@ from brink.server.api.context import Services
 from brink.server.api.responses import MEDIA, file_response, json_response
 from brink.server.errors import NotFound
 from brink.server.findings.finding import Finding, Findings
-from brink.server.findings.summary import MOST_ROWS, ROWS, find_all, find_kind
+from brink.server.findings.summary import ROWS, find_all, find_kind
+from brink.server.findings.table import MOST_ROWS
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/findings", tags=["findings"])
 _OWN: Final = frozenset({"table", "rows", "format"})

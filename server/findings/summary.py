@@ -21,6 +21,7 @@ from brink.server.findings.boundary.repeats import count_distinct, repeats_view
 from brink.server.findings.finding import Finding, Findings, FollowedView, Role, Step, StepRequest
 from brink.server.findings.kind import NOTHING, Kind, Subject, all_kinds, asked, find_safely, kinds_of
 from brink.server.findings.sources import Sources
+from brink.server.findings.table import MOST_ROWS
 from brink.server.findings.words import full_sentence, so_far
 from brink.server.problems.catalogue import takes_requirement
 from brink.server.problems.driving_systems import drives_itself
@@ -29,7 +30,6 @@ from brink.server.states import CampaignStatus, OutcomeKind
 
 ROWS: Final = 10
 """Rows of each table where all kinds of findings are listed."""
-MOST_ROWS: Final = 1_000
 
 
 async def find_all(sources: Sources, campaign: Campaign, *, rows: int = ROWS) -> Findings:

@@ -22,6 +22,8 @@ Cell: TypeAlias = str | int | float | bool | None
 Row: TypeAlias = dict[str, Cell]
 
 FORMATS: Final = ("csv", "jsonl", "parquet")
+MOST_ROWS: Final = 1_000
+"""Most rows of a table that is asked for over HTTP."""
 
 
 class Format(StrEnum):

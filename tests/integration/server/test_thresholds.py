@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -158,6 +159,23 @@ def test_the_command_prints_and_draws_it(
     assert "50% point" in (tmp_path / "curves.svg").read_text()
     refused = invoke("verdicts", "--picture", str(tmp_path / "no.png"))
     assert "expected a kind that has a picture (thresholds), got verdicts" in str(refused.exception)
+
+
+def test_a_comparison_counts_what_searches_are_for(client: httpx.Client, campaign: str) -> None:
+    drawn = run(client, ball(name="drawn", simulations=20, algorithm={"id": "random@1"}))
+
+    def compared(*words: str) -> str:
+        place = ("--no-control", "--server", str(client.base_url))
+        return CliRunner().invoke(app, ["compare", *words, *place]).output
+
+    assert "Thresholds" not in compared(drawn)
+    assert "Pairs across" not in compared(campaign)
+    both = compared(campaign, drawn)
+    assert "only a search for thresholds makes on purpose" in " ".join(both.split())
+    rows = [line.split()[1:] for line in both.splitlines() if " 41 " in line or "drawn" in line]
+    assert rows[:2] == [["41", "0", "1", "1", "0", "–"], ["20", "0", "0", "0", "0", "–"]]
+    told = json.loads(compared(campaign, drawn, "--json"))
+    assert [one["thresholds"]["kinds"] for one in told] == [1, 0]
 
 
 @pytest.mark.long("writes a whole report")
