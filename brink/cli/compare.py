@@ -152,7 +152,7 @@ def _table(
 
 
 def _pair_cells(pairs: Pairs) -> dict[str, tuple[str, ...]]:
-    cells = {}
+    cells: dict[str, tuple[str, ...]] = {}
     for campaign, found in pairs.items():
         if (counts := _counts(found)) is None:
             cells[campaign] = ("too many to tell apart", DASH, DASH)

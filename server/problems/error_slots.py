@@ -402,11 +402,18 @@ class PerceptionErrors(ErrorSlots[P]):
         return self._scale(choices.get(self.first("type"), NO_ERROR))
 
     def scale_of(self, name: str, values: Mapping[str, Values]) -> SeverityScale | None:
-        """Return the scale of a severity, given the type of its error."""
+        """Return the scale of a severity or of a time, given its error."""
         slot = self.slot_of(name)
-        if slot is None or name != f"{BEHAVIOUR}.{slot.prefix}severity":
+        if slot is None or slot.is_empty(values[BEHAVIOUR]):
             return None
-        return self._scale(str(values[BEHAVIOUR][slot.type]))
+        field, error = name.removeprefix(f"{BEHAVIOUR}.{slot.prefix}"), self.error(values[BEHAVIOUR], slot)
+        if field == "severity":
+            return self._scale(error.type)
+        if field not in ("onset_s", "duration_s"):
+            return None
+        which = "how long" if field == "duration_s" else "from when on"
+        words = error.words_with(self.magnitudes[error.type].words(error.magnitude))
+        return SeverityScale(unit="s", none=0.0, most=1.0, meaning=f"{which} {words}")
 
     def _scale(self, kind: str) -> SeverityScale | None:
         if kind == NO_ERROR:

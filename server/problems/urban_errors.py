@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Final
 from brink.search.settings import setting
 from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.server.problems.base import BEHAVIOUR, MeasuredSeverity, Vectors
+from brink.server.problems.changes import instead
 from brink.server.problems.driving_systems import Driven, about_driving
 from brink.server.problems.error_slots import (
     NO_ERROR,
@@ -189,6 +190,9 @@ class UrbanErrors(Driven, PerceptionErrors[DetectionError]):
         """Describe how the onset of an error differs."""
         if old.onset is new.onset is Onset.TIME:
             return super().onset_change(old, new)
+        if old.onset is new.onset:
+            seconds = instead(old.onset_s, new.onset_s, "s")
+            return new.onset_words.replace(f"{new.onset_s:.1f} s", seconds)
         return f"{new.onset_words} instead of {old.onset_words}"
 
     def error_words(self, choices: Mapping[str, str], magnitude: str) -> str:

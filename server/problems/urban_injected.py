@@ -68,6 +68,7 @@ REQUIREMENTS = (
 BOX_SIGMA_PX = 40.0
 """Standard deviation of the mutation of a box coordinate: a tenth of 400 px."""
 
+_EDGES: Final = dict(zip(b.BOX_SIDES, ("left", "right", "upper", "lower"), strict=True))
 _INTEGER_SCENARIO = {"pedestrians": PEDESTRIAN_COUNTS, "road_id": ROAD_IDS, "road_length": ROAD_LENGTHS}
 
 
@@ -276,12 +277,16 @@ class UrbanInjected(Driven, SlottedBehaviour):
         )
 
     def scale_of(self, name: str, values: Mapping[str, Mapping[str, Value]]) -> SeverityScale | None:
-        """Return the scale of a step, which is a time; None for other numbers."""
-        if not name.endswith("_step"):
+        """Return the scale of a step, which is a time, or of the edge of a box; None for other numbers."""
+        trajectory, _, field = name.removeprefix(f"{BEHAVIOUR}.").partition(".")
+        report = f"report {trajectory.removeprefix('trajectory_')}"
+        if field in b.BOX_FIELDS:
+            side, end = field[: len("x_min")], "first" if "_0_" in field else "last"
+            meaning = f"{_EDGES[side]} edge of the {end} box of {report} in the image"
+            return SeverityScale(unit="px", none=0.0, most=1.0, meaning=meaning)
+        if not field.endswith("_step"):
             return None
-        trajectory, _, end = name.removeprefix(f"{BEHAVIOUR}.").partition(".")
-        when = "begins" if end == "t0_step" else "ends"
-        meaning = f"when report {trajectory.removeprefix('trajectory_')} {when}"
+        meaning = f"when {report} {'begins' if field == 't0_step' else 'ends'}"
         return SeverityScale(unit="s", none=0.0, most=PERCEPTION_STEP_S, meaning=meaning)
 
     def _ended_at_step(self, one: SimulatedSolution) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from brink.search.archive import Archive
 from brink.search.features import Unit
-from brink.search.parameters import Categorical, Value
+from brink.search.parameters import Categorical, Value, name_in_words
 from brink.search.space import FloatArray
 from brink.search.thresholds import Outcome
 from brink.server.campaigns.thresholds import CampaignThresholds, Threshold
@@ -267,7 +267,7 @@ def sentence(one: Threshold, change: str, fails: str, ends: Sequence[str], param
     """
     if one.outcome is Outcome.THRESHOLD:
         return f"{change}: {fails}"
-    varied = f"{parameter} varied from {ends[0]} to {ends[1]}"
+    varied = f"{parameter}, varied from {ends[0]} to {ends[1]}"
     return f"{varied}: {_UNCERTAIN[one.outcome]}"
 
 
@@ -336,6 +336,8 @@ def rises(one: Threshold, amounts: Amounts) -> bool:
 def parameter_words(problem: Problem, name: str, side: SimulatedSolution, unit: str) -> str:
     """Return what a number is: what its scale measures, or else its title without the unit.
 
+    The component is left out where no other one has a parameter of this name.
+
     Args:
         problem: The problem.
         name: The number, as component.parameter.
@@ -345,7 +347,11 @@ def parameter_words(problem: Problem, name: str, side: SimulatedSolution, unit: 
     scale = problem.scale_of(name, problem.space.decode(tuple(side.vectors)))
     if scale is not None:
         return scale.meaning
-    title = problem.space.titles()[name]
+    title, (_, _, own) = problem.space.titles()[name], name.partition(".")
+    if title == name_in_words(name) and not any(
+        other != name and other.endswith(f".{own}") for other in problem.space.column_names()
+    ):
+        title = name_in_words(own)
     return title.removesuffix(f" {unit}") if unit else title
 
 

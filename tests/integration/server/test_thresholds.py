@@ -215,7 +215,7 @@ def test_a_window_and_a_chancy_line_are_said(client: httpx.Client) -> None:
     assert first["window"].startswith("further on, from -1.")
     assert " down to -0." in first["rule"], "and not to where it is safe again"
     assert (second["rule"], second["pair"], second["turns"]) == ("", None, "nowhere")
-    assert second["words"] == "What: y varied from -0.30 m to 0.27 m: chance decides, no value does"
+    assert second["words"] == "Y, varied from -0.30 m to 0.27 m: chance decides, no value does"
     assert found["sentence"].endswith("; 1 chancy line")
 
 
@@ -290,7 +290,7 @@ def test_a_resolution_that_the_problem_does_not_state_is_said_to_be_1_percent(
     finding: dict[str, Any],
 ) -> None:
     [told] = [words for words in finding["caveats"] if "resolution" in words]
-    assert told == "The problem states no resolution of where: x: 1% of the range counts as the same there"
+    assert told == "The problem states no resolution of x: 1% of the range counts as the same there"
 
 
 def test_where_chance_decides_the_finding_says_how_many_verdicts_changed(client: httpx.Client) -> None:
