@@ -86,13 +86,13 @@ class Formula:
         text: As it was written.
         is_condition: Whether it holds or not; otherwise it is a number.
         names: The names in it, in the order of their first appearance.
-        texts: Those of them that are compared with a text.
+        texts: The texts with which names are compared, by name.
     """
 
     text: str
     is_condition: bool = field(init=False, compare=False)
     names: tuple[str, ...] = field(init=False, compare=False)
-    texts: frozenset[str] = field(init=False, compare=False, repr=False)
+    texts: Mapping[str, frozenset[str]] = field(init=False, compare=False, repr=False)
     _steps: tuple[Step, ...] = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -101,7 +101,7 @@ class Formula:
         object.__setattr__(self, "_steps", tuple(parser.steps))
         names = dict.fromkeys(str(content) for kind, content in parser.steps if kind == "name")
         object.__setattr__(self, "names", tuple(names))
-        object.__setattr__(self, "texts", frozenset(parser.texts))
+        object.__setattr__(self, "texts", {name: frozenset(texts) for name, texts in parser.texts.items()})
 
     def evaluate(self, values: Mapping[str, Input]) -> Any:
         """Return the number, or whether the condition holds: a scalar, or an array of the values' shape.
@@ -166,7 +166,7 @@ class _Parser:
             raise FormulaError(f"expected a formula of at most {MOST_CHARACTERS} characters, got {len(text)}")
         self.text = text
         self.steps: list[Step] = []
-        self.texts: set[str] = set()
+        self.texts: dict[str, set[str]] = {}
         self._quoted: dict[str, str] = {}
         self._source = _QUOTED.sub(self._placeholder, text.strip())
         try:
@@ -282,10 +282,13 @@ class _Parser:
     def _compare_text(self, kind: type[ast.AST], pair: list[ast.expr]) -> None:
         if kind not in _SAME_TEXT:
             raise self._refusal("texts can only be compared by == and !=")
+        texts = [
+            side.value for side in pair if isinstance(side, ast.Constant) and isinstance(side.value, str)
+        ]
         for side in pair:
             if isinstance(side, ast.Constant) and isinstance(side.value, str):
                 self.steps.append(("value", side.value))
             else:
                 self.steps.append(("name", name := self._name(side)))
-                self.texts.add(name)
+                self.texts.setdefault(name, set()).update(texts)
         self.steps.append(("call", _SAME_TEXT[kind]))

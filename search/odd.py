@@ -11,6 +11,7 @@ are distances: they are normalised by the whole ranges (see docs/adr/0057-the-od
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Final
 
@@ -58,7 +59,10 @@ def limited(space: SearchSpace, odd: Mapping[str, object]) -> SearchSpace:
             components.append(component.limited({name: limit for name, (_, limit) in own.items()}))
         except SpaceError as error:
             raise OddError(None, str(error)) from None
-    within = SearchSpace(tuple(components))
+    try:
+        within = replace(space, components=tuple(components))
+    except SpaceError as error:
+        raise OddError(None, str(error)) from None
     if within.size <= 1:
         raise OddError(
             None, "fixes every parameter: expected at least two different solutions within the ODD"
@@ -112,9 +116,11 @@ def odd_words(space: SearchSpace) -> str:
 
 
 def odd_sentence(space: SearchSpace) -> str:
-    """Return sentences that state the ODD to which results in a space apply; empty without an ODD."""
-    words = odd_words(space)
-    return f"All of this is within the ODD: {words}. Nothing outside it was simulated." if words else ""
+    """Return sentences that state the ODD and the constraints to which results apply; empty without any."""
+    words, constraints = odd_words(space), "; ".join(space.constraints)
+    told = f"All of this is within the ODD: {words}. Nothing outside it was simulated." if words else ""
+    more = f"Only solutions that meet the constraints were simulated: {constraints}." if constraints else ""
+    return " ".join(filter(None, (told, more)))
 
 
 def with_odd(words: str, space: SearchSpace) -> str:

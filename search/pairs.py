@@ -20,6 +20,7 @@ from brink.search.space import Categorical, FloatArray, IntArray, SearchSpace, f
 
 _WITHIN: Final = 1 - 1e-9
 """Keeps a distance of eps from exceeding it by rounding."""
+_BESIDE: Final = tuple(place / 16 for place in (4, 12, 2, 6, 10, 14, 1, 3, 5, 7, 9, 11, 13, 15))
 _ORDERS: Final = 8
 """Orders of units tried for a step, in case repair undoes the first ones."""
 
@@ -149,11 +150,15 @@ class Steps:
         columns = list(unit)
         if self.space.categorical[columns].any():
             return None
-        row = np.array(safe)
-        row[columns] = safe[columns] + share * (unsafe[columns] - safe[columns])
-        middle = self._valid_between(row, safe, unsafe)
-        if middle is not None or len(columns) == 1:
-            return middle
+        # A formula may rule out the middle and leave what is beside it.
+        for part in (share, *(_BESIDE if self.space.constraints else ())):
+            row = np.array(safe)
+            row[columns] = safe[columns] + part * (unsafe[columns] - safe[columns])
+            middle = self._valid_between(row, safe, unsafe)
+            if middle is not None:
+                return middle
+        if len(columns) == 1:
+            return None
         for column in columns:  # whole numbers that are tied together may be one step apart each
             row = np.array(safe)
             row[column] = unsafe[column]

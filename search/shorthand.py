@@ -28,15 +28,22 @@ _NAMED: Final = frozenset({"min", "max", "step", "log", "unit", "resolution", "t
 """What the mapping of a number may name."""
 
 
-def space_of(declared: DeclaredSpace) -> SearchSpace:
+def space_of(declared: DeclaredSpace, constraints: Sequence[str] = ()) -> SearchSpace:
     """Return the search space that plain values describe.
 
     Args:
         declared: Parameters by name, or such mappings by component, or a list of parameters, or a space.
+        constraints: Conditions that every solution meets; see `SearchSpace.constrained`.
 
     Raises:
-        SpaceError: A parameter is not written as expected, or its range is empty.
+        SpaceError: A parameter is not written as expected, its range is empty, or a constraint is not a condition on
+            the parameters that some solutions meet.
     """
+    space = _unconstrained(declared)
+    return space.constrained(constraints) if constraints else space
+
+
+def _unconstrained(declared: DeclaredSpace) -> SearchSpace:
     if isinstance(declared, SearchSpace):
         return declared
     if isinstance(declared, Mapping):
@@ -139,10 +146,11 @@ def space_from(description: Mapping[str, Any]) -> SearchSpace:
         description: Its JSON object.
 
     Raises:
-        SpaceError: It is not one, or the space has constraints, which are not read.
+        SpaceError: It is not one, or a component has constraints of its own, which are not read.
     """
     try:
-        return SearchSpace(tuple(_described(component) for component in description["components"]))
+        space = SearchSpace(tuple(_described(component) for component in description["components"]))
+        return space.constrained(constraints) if (constraints := description.get("constraints")) else space
     except (LookupError, TypeError, AttributeError) as error:
         raise SpaceError(
             f"expected a description of a search space: {type(error).__name__}: {error}"

@@ -16,7 +16,9 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.formula import Formula
 from brink.search.errors import SpaceError
+from brink.search.feasible import Feasible, by_every_name, parsed, violated
 from brink.search.parameters import (
     Categorical,
     Constraint,
@@ -76,6 +78,7 @@ class Component:
         parameters: In the order of the vector, with unique names.
         constraints: In the order in which repair applies them, except that `Dormant` always comes first: the
             constraints of dormant numbers do not apply, and those of reactivated numbers repair the fresh draws.
+        formulas: Conditions on the parameters; see `SearchSpace.constrained`.
         interchangeable: Parts that can be swapped without changing what a vector means, such as two injected
             trajectories: for each, the names of its parameters, in the same order. Empty, or at least two parts.
         by_name: The parameters by name.
@@ -85,11 +88,13 @@ class Component:
     parameters: tuple[Parameter, ...]
     constraints: tuple[Constraint | Dormant, ...] = ()
     interchangeable: tuple[tuple[str, ...], ...] = ()
+    formulas: tuple[Formula, ...] = ()
     by_name: Mapping[str, Parameter] = field(init=False, repr=False, compare=False)
     _blocks: tuple[Dormant, ...] = field(init=False, repr=False, compare=False)
     _rules: tuple[Constraint, ...] = field(init=False, repr=False, compare=False)
     _free: tuple[Number, ...] = field(init=False, repr=False, compare=False)
     _checked: tuple[Parameter, ...] = field(init=False, repr=False, compare=False)
+    _feasible: Feasible | None = field(init=False, repr=False, compare=False, default=None)
 
     def __post_init__(self) -> None:
         check_name("component", self.name)
@@ -115,6 +120,19 @@ class Component:
         object.__setattr__(self, "_rules", rules)
         object.__setattr__(self, "_free", free)
         object.__setattr__(self, "_checked", self._check_limits(blocks, rules))
+        if self.formulas:
+            object.__setattr__(self, "_feasible", self._find_feasible())
+
+    def _find_feasible(self) -> Feasible:
+        nothing = np.full(self.dimension, np.nan)
+        return Feasible(
+            formulas=self.formulas,
+            ranges=np.array([1.0 if isinstance(p, Categorical) else p.range for p in self.parameters]),
+            categorical=np.array([isinstance(p, Categorical) for p in self.parameters]),
+            draw=lambda rng: self._settled(nothing, rng),
+            settle=lambda row: self._settled(row, np.random.Generator(np.random.PCG64(0))),
+            values=self.active_values,
+        )
 
     def _check_constraints(self, blocks: tuple[Dormant, ...], rules: tuple[Constraint, ...]) -> None:
         everything: tuple[Constraint | Dormant, ...] = (*blocks, *rules)
@@ -266,13 +284,16 @@ class Component:
 
     def sample(self, rng: np.random.Generator) -> FloatArray:
         """Draw a random valid vector: uniform values, repaired by the constraints."""
+        if self._feasible is not None:
+            return self._feasible.sample(rng)
         return self.repair(np.full(self.dimension, np.nan), rng)
 
     def repair(self, vector: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return the nearest valid vector, read-only; the argument is not modified.
 
         The steps, in order: round labels to a choice; clip numbers without a constraint to their ranges; set dormant
-        blocks to 0 and draw reactivated ones; apply the other constraints as listed. NaN means "draw afresh".
+        blocks to 0 and draw reactivated ones; apply the other constraints as listed; move a vector that does not meet
+        the formulas until it does. NaN means "draw afresh".
 
         Args:
             vector: Any numbers, infinities and NaN included, shape ``(dimension,)``.
@@ -281,6 +302,11 @@ class Component:
         Raises:
             SpaceError: The vector has the wrong shape.
         """
+        settled = self._settled(vector, rng)
+        return settled if self._feasible is None else self._feasible.repaired(settled)
+
+    def _settled(self, vector: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return the nearest vector that is valid but for the formulas."""
         values = self._values(vector)
         for parameter in self.parameters:
             if isinstance(parameter, Categorical):
@@ -349,6 +375,8 @@ class Component:
             violations = list(self._value_problems(values)) or list(self._constraint_problems(values))
         for name, problem in violations:
             yield f"{self.name}.{name}: {problem}"
+        if not violations and (formula := violated(self.formulas, self.active_values(vector))):
+            yield f"{self.name}: expected values that meet the constraint {formula.text}"
 
     def _value_problems(self, values: Values) -> Iterator[tuple[str, str]]:
         dormant = self._dormant(values)
@@ -369,6 +397,13 @@ class Component:
         for rule in self._rules:
             if dormant.isdisjoint(rule.names) and (problem := rule.problem(values, self.by_name)):
                 yield rule.names[0], problem
+
+    def active_values(self, vector: FloatArray) -> dict[str, Value]:
+        """Return the human-readable values of a valid vector, by own and by full name, without dormant ones."""
+        values = self._values(vector)
+        dormant = self._dormant(values)
+        active = {p.name: p.decode(values[p.name]) for p in self.parameters if p.name not in dormant}
+        return active | {f"{self.name}.{name}": value for name, value in active.items()}
 
     def unset_dormant(self, vector: FloatArray) -> FloatArray:
         """Return a copy with NaN for dormant numbers, so that variation neither mixes nor shifts them.
@@ -435,6 +470,7 @@ class SearchSpace:
 
     Attributes:
         components: In the order of a solution's vectors, with unique names.
+        formulas: Conditions on parameters of more than one component; see `constrained`.
         dimension: Number of all parameters.
         categorical: Which parameters are categorical, shape ``(dimension,)``.
         ranges: Whole range of each number, whatever the ODD, 1 for a category, shape ``(dimension,)``.
@@ -442,13 +478,18 @@ class SearchSpace:
     """
 
     components: tuple[Component, ...]
+    formulas: tuple[Formula, ...] = ()
     dimension: int = field(init=False, compare=False)
     categorical: BoolArray = field(init=False, repr=False, compare=False)
     ranges: FloatArray = field(init=False, repr=False, compare=False)
     slices: tuple[slice, ...] = field(init=False, repr=False, compare=False)
+    _constraints: tuple[Formula, ...] = field(init=False, repr=False, compare=False)
+    _feasible: Feasible | None = field(init=False, repr=False, compare=False, default=None)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "components", tuple(self.components))
+        own = [formula for component in self.components for formula in component.formulas]
+        object.__setattr__(self, "_constraints", (*own, *self.formulas))
         names = [component.name for component in self.components]
         if not names or len(set(names)) < len(names):
             raise SpaceError(f"expected at least one component, with distinct names; got {names}")
@@ -461,6 +502,65 @@ class SearchSpace:
         object.__setattr__(self, "categorical", frozen_array(categorical, np.bool_))
         object.__setattr__(self, "ranges", frozen_array(ranges))
         object.__setattr__(self, "slices", tuple(slice(a, b) for a, b in zip(starts, ends, strict=True)))
+        if self.formulas:
+            object.__setattr__(self, "_feasible", self._find_feasible())
+
+    def _find_feasible(self) -> Feasible:
+        def settle(row: FloatArray) -> FloatArray:
+            rng = np.random.Generator(np.random.PCG64(0))
+            return self.join(
+                [c.repair(v, rng) for c, v in zip(self.components, self.split(row), strict=True)]
+            )
+
+        return Feasible(
+            formulas=self.formulas,
+            ranges=self.ranges,
+            categorical=self.categorical,
+            draw=lambda rng: self.join([component.sample(rng) for component in self.components]),
+            settle=settle,
+            values=self._active_values,
+        )
+
+    def _active_values(self, row: FloatArray) -> dict[str, Value]:
+        values: dict[str, Value] = {}
+        for component, vector in zip(self.components, self.split(row), strict=True):
+            values |= component.active_values(vector)
+        return values
+
+    def constrained(self, texts: Sequence[str]) -> "SearchSpace":
+        """Return the space without the solutions that violate further constraints.
+
+        Args:
+            texts: Conditions on the values as people read them (`brink.formula`), such as ``gap > 2 * speed / 3.6``
+                or ``weather == 'dry' or scenario.speed < 20``. One does not apply where a parameter in it is absent.
+
+        Raises:
+            SpaceError: One is not a condition on parameters of the space, or no solution meets them all.
+        """
+        own: dict[str, tuple[Formula, ...]] = {one.name: one.formulas for one in self.components}
+        across = self.formulas
+        known = by_every_name([(one.name, one.parameters) for one in self.components])
+        for text in texts:
+            formula = parsed(text, known)
+            parameters = [known[name] for name in formula.names]
+            homes = [
+                one.name for one in self.components if any(p is q for p in parameters for q in one.parameters)
+            ]
+            if len(homes) == 1:
+                own[homes[0]] += (formula,)
+            else:
+                across += (formula,)
+        components = [replace(one, formulas=own[one.name]) for one in self.components]
+        return SearchSpace(tuple(components), across)
+
+    @property
+    def constraints(self) -> list[str]:
+        """The constraints that were written as formulas."""
+        return [formula.text for formula in self._constraints]
+
+    def allows(self, row: FloatArray) -> bool:
+        """Return whether a row that is otherwise valid meets all constraints that were written as formulas."""
+        return not self._constraints or violated(self._constraints, self._active_values(row)) is None
 
     @property
     def size(self) -> float:
@@ -489,6 +589,8 @@ class SearchSpace:
 
     def sample(self, rng: np.random.Generator) -> tuple[FloatArray, ...]:
         """Draw a random valid complete solution."""
+        if self._feasible is not None:
+            return self.split(self._feasible.sample(rng))
         return tuple(component.sample(rng) for component in self.components)
 
     def draw_unrepaired(self, count: int, rng: np.random.Generator) -> FloatArray:
@@ -546,7 +648,8 @@ class SearchSpace:
         Raises:
             SpaceError: A vector is missing or has the wrong shape.
         """
-        return tuple(c.repair(v, rng) for c, v in zip(self.components, self._counted(vectors), strict=True))
+        parts = tuple(c.repair(v, rng) for c, v in zip(self.components, self._counted(vectors), strict=True))
+        return parts if self._feasible is None else self.split(self._feasible.repaired(self.join(parts)))
 
     def repair_component(self, index: int, vector: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return the nearest valid vector of one component; the argument is not modified.
@@ -584,6 +687,8 @@ class SearchSpace:
         for component, vector in zip(self.components, self._counted(vectors), strict=True):
             for problem in component.problems(vector):
                 raise SpaceError(problem)
+        if self.formulas and (formula := violated(self.formulas, self._active_values(self.join(vectors)))):
+            raise SpaceError(f"expected values that meet the constraint {formula.text}")
 
     def _counted(self, vectors: Sequence[FloatArray]) -> Sequence[FloatArray]:
         if len(vectors) != len(self.components):
@@ -606,15 +711,22 @@ class SearchSpace:
             SpaceError: A vector is missing or has the wrong shape.
         """
         parts = zip(self.components, self._counted(vectors), strict=True)
-        return not any(True for component, vector in parts for _ in component.problems(vector))
+        if any(True for component, vector in parts for _ in component.problems(vector)):
+            return False
+        return not self.formulas or self.allows(self.join(vectors))
 
     def unlimited(self) -> "SearchSpace":
-        """Return the space without its ODD; interchangeable parts that the ODD told apart stay told apart."""
-        if all(parameter.odd is None for parameter in self.parameters):
+        """Return the space without its ODD and its constraints.
+
+        Interchangeable parts that the ODD told apart stay told apart.
+        """
+        if not self._constraints and all(parameter.odd is None for parameter in self.parameters):
             return self
         return SearchSpace(
             tuple(
-                replace(component, parameters=tuple(one.unlimited() for one in component.parameters))
+                replace(
+                    component, parameters=tuple(one.unlimited() for one in component.parameters), formulas=()
+                )
                 for component in self.components
             )
         )
@@ -662,8 +774,12 @@ class SearchSpace:
         missing = [component.name for component in self.components if component.name not in values]
         if missing:
             raise SpaceError(f"{missing[0]}: missing component")
-        return tuple(component.encode(values[component.name]) for component in self.components)
+        vectors = tuple(component.encode(values[component.name]) for component in self.components)
+        if self.formulas:
+            self.check(vectors)
+        return vectors
 
     def describe(self) -> dict[str, Any]:
         """Return the whole space as a JSON object."""
-        return {"components": [component.describe() for component in self.components]}
+        about: dict[str, Any] = {"components": [component.describe() for component in self.components]}
+        return about | {"constraints": self.constraints} if self.constraints else about

@@ -95,7 +95,7 @@ def example_spaces() -> dict[str, SearchSpace]:
             participants_component("participants", 4, RoadLimits(streets_m=(30.0,))),
         )
     )
-    scales = SearchSpace(
+    declared = SearchSpace(
         (
             Component(
                 "scenario",
@@ -107,14 +107,14 @@ def example_spaces() -> dict[str, SearchSpace]:
             ),
             Component("behaviour", (Real("rate", 1e-6, 1.0, "1/s", log=True), Real("noise", 0.0, 1.0))),
         )
-    )
+    ).constrained(["gap > cars / 5", "road == 'a' or noise < 0.8"])
     return {
         "mixed": mixed,
         "numeric": numeric,
         "categorical": categorical,
         "slots": slots,
         "traffic": traffic,
-        "scales": scales,
+        "declared": declared,
     }
 
 

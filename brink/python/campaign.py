@@ -53,6 +53,7 @@ class Campaign:
         algorithm_params: The same for the algorithm.
         odd: Operational design domain: limits by component.parameter, each one value, a list of choices, or a mapping
             with ``min``, ``max`` or both.
+        constraints: Conditions that every solution meets, such as ``gap > 2 * speed / 3.6``.
         start_from: Prior knowledge: an earlier campaign, its result or id, or a data frame with a column for
             each parameter and one for ``robustness``.
         more: Further fields of the campaign file, such as ``repeats`` or ``execution``.
@@ -66,15 +67,18 @@ class Campaign:
     problem_params: Mapping[str, Any] = field(default_factory=dict)
     algorithm_params: Mapping[str, Any] = field(default_factory=dict)
     odd: Mapping[str, Any] = field(default_factory=dict)
+    constraints: Sequence[str] = ()
     start_from: Start = None
     more: Mapping[str, Any] = field(default_factory=dict)
 
     def document(self) -> dict[str, Any]:
         """Return the campaign as in a campaign file, without its prior knowledge."""
-        odd = {"odd": dict(self.odd)} if self.odd else {}
+        limits: dict[str, Any] = {"odd": dict(self.odd)} if self.odd else {}
+        if self.constraints:
+            limits |= {"constraints": list(self.constraints)}
         return {
             "name": self.name or f"{self.problem.partition('@')[0]}, {self.algorithm.partition('@')[0]}",
-            "problem": {"id": self.problem, "params": {**self.problem_params, **odd}},
+            "problem": {"id": self.problem, "params": {**self.problem_params, **limits}},
             "algorithm": {"id": self.algorithm, "params": dict(self.algorithm_params)},
             "budget": {"simulations": self.simulations},
             "seed": self.seed,

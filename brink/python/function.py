@@ -1,7 +1,7 @@
 """Searching the boundary of a user's Python function."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from brink.api.follow_ups import OPEN
@@ -28,6 +28,7 @@ async def search_async(
     function: Callable[..., float | Mapping[str, float]],
     space: DeclaredSpace,
     *,
+    constraints: Sequence[str] = (),
     algorithm: str = "edge@2",
     simulations: int = 500,
     params: Mapping[str, Any] | None = None,
@@ -52,6 +53,7 @@ async def search_async(
         space: Its parameters by name, such as ``{"speed": (5.0, 30.0, "m/s"), "lanes": range(2, 5), "road": ["dry",
             "wet"]}``, or such mappings by component; ``mlcshe@1`` needs two components. Steps, log scales and more:
             docs/reference/search-space.md.
+        constraints: Conditions that every call meets, such as ``distance > 2 * speed / 3.6``.
         algorithm: Id of the algorithm.
         simulations: Number of calls.
         params: Parameters of the algorithm that differ from their defaults.
@@ -80,7 +82,7 @@ async def search_async(
         >>> result.evaluated
         100
     """
-    declared = space_of(space)
+    declared = space_of(space, constraints)
     check_call(function, declared)
     digest = simulator.digest_of(function)
     with environment_with(function) as environment:
@@ -137,7 +139,7 @@ def _check_calls(progress: Progress) -> None:
         f"{progress.name}: {failed:,} of {progress.simulations:,} calls failed, so the search "
         f"{given_up[progress.status]}. The first: "
         f"{first}. Correct the function and call brink.search() again. A failed call is neither safe nor unsafe: "
-        "where the function has no result, leave such values out of the space, or "
+        "where the function has no result, leave such values out by constraints, or "
         f"return what counts as safe or unsafe there. (campaign {progress.id})"
     )
 

@@ -68,9 +68,10 @@ class Study:
         seed: Seed of the search.
         params: Parameters of the algorithm that differ from their defaults.
         start_from: What is known already: a data frame with a column for each parameter and one for ``robustness``.
+        constraints: Conditions that every trial meets, such as ``gap > 2 * speed / 3.6``.
 
     Raises:
-        SpaceError: A parameter is not written as expected.
+        SpaceError: A parameter or a constraint is not written as expected.
         InvalidInput: The algorithm or one of its parameters does not exist.
         ConfigError: A parameter of the algorithm does not fit.
         UnsupportedSpace: The algorithm does not support the space.
@@ -94,6 +95,7 @@ class Study:
         seed: int = 1,
         params: Mapping[str, Any] | None = None,
         start_from: "Mapping[str, Any] | pd.DataFrame | None" = None,
+        constraints: Sequence[str] = (),
     ) -> None:
         self._algorithm: AnyAlgorithm = make_algorithm(algorithm)
         if isinstance(self._algorithm, Seeded):
@@ -104,7 +106,7 @@ class Study:
             raise UnsupportedSpace(
                 f"{algorithm} needs measures, which a study cannot give: run it as a campaign"
             )
-        self._space = space_of(space)
+        self._space = space_of(space, constraints)
         self._id, self._seed, self._simulations = algorithm, seed, simulations
         self._config = make_params(self._algorithm.config_type, dict(params or {}), "/params")
         self._algorithm.check(self._space, self._config, budget=simulations)

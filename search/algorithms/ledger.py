@@ -229,13 +229,16 @@ class Ledger:
         return self.generation + len(self.flight)
 
     def unseen(self, rows: Iterable[FloatArray]) -> tuple[FloatArray, ...]:
-        """Return the rows that were never asked for and whose results are not known, in order, without duplicates."""
+        """Return the rows that were never asked for and whose results are not known, in order, without duplicates.
+
+        Those that combine components in a way that a constraint does not allow are left out.
+        """
         seen = {*row_keys(self.archive.vectors), *row_keys(self.failed), *row_keys(self.known.rows)}
         seen.update(candidate_key(candidate) for generation in self.flight for candidate in generation)
         fresh = []
         for row in rows:
             key = row.tobytes()
-            if key not in seen:
+            if key not in seen and self.space.allows(row):
                 seen.add(key)
                 fresh.append(row)
         return tuple(fresh)

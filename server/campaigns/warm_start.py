@@ -26,7 +26,7 @@ from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.db.models import SolutionRow
 from brink.server.errors import InvalidInput, NotFound
 from brink.server.problems.base import SimulatedProblem
-from brink.server.problems.catalogue import ODD
+from brink.server.problems.catalogue import CONSTRAINTS, ODD
 from brink.server.queue.job_store import is_told
 from brink.server.states import SolutionVerdict
 from brink.sim.catalogue import with_sources
@@ -62,7 +62,8 @@ def find_start(connection: Connection, body: CampaignBody) -> Start | None:
     if not evaluated:
         _refuse(f"campaign {source.id} has no evaluated solutions")
     if not records:
-        _refuse(f"campaign {source.id} has no solutions within the ODD: {odd_words(plan.problem.space)}")
+        limits = "; ".join(filter(None, (odd_words(plan.problem.space), *plan.problem.space.constraints)))
+        _refuse(f"campaign {source.id} has no solutions within the ODD: {limits}")
     _check_rows(source, records, plan.problem.space)
     if wanted.results:
         _check_same_episodes(connection, source, records, plan)
@@ -136,7 +137,7 @@ def _settings(there: CampaignBody, here: CampaignBody) -> list[tuple[str, object
         ("problem.id", there.problem.id, here.problem.id),
         *(
             (f"problem.params.{name}", before.get(name), now.get(name))
-            for name in sorted({*before, *now} - {ODD})
+            for name in sorted({*before, *now} - {CONSTRAINTS, ODD})
         ),
         ("ground_truth", there.ground_truth, here.ground_truth),
     ]
@@ -167,8 +168,8 @@ def _evaluated(connection: Connection, source: Campaign) -> list[KnownRecord]:
 
 
 def _within_odd(records: Sequence[KnownRecord], space: SearchSpace) -> Sequence[KnownRecord]:
-    """Return the results within the ODD of a space; all of them if it has none."""
-    if not odd_of(space):
+    """Return the results within the ODD and the constraints of a space; all of them if it has none."""
+    if not odd_of(space) and not space.constraints:
         return records
     return [record for record in records if space.contains(space.split(np.frombuffer(record.vector, "<f8")))]
 

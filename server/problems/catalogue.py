@@ -1,8 +1,9 @@
 """The available problems and algorithms, and the JSON schemas of their parameters.
 
 Parameters are dataclasses whose fields carry their bounds (`brink.search.settings.setting`). They are converted to
-pydantic models, which validate and describe the input. Every problem has one parameter more, `ODD`, which limits its
-search space (`brink.search.odd`) and which the problem itself does not see.
+pydantic models, which validate and describe the input. Every problem has two parameters more, `ODD` and
+`CONSTRAINTS`, which limit its search space (`brink.search.odd`, `SearchSpace.constrained`) and which the problem
+itself does not see.
 """
 
 import logging
@@ -17,7 +18,7 @@ from pydantic import Field as PydanticField
 
 from brink.extras import install_command
 from brink.search.algorithm import AnyAlgorithm, declared_finds
-from brink.search.errors import ConfigError, OddError, UnsupportedSpace
+from brink.search.errors import ConfigError, OddError, SpaceError, UnsupportedSpace
 from brink.search.odd import limited, odd_of
 from brink.search.space import SearchSpace
 from brink.server.documents import invalid_input
@@ -42,12 +43,18 @@ log = logging.getLogger(__name__)
 PROBLEMS = "brink.problems"
 ALGORITHMS = "brink.algorithms"
 ODD: Final = "odd"
+CONSTRAINTS: Final = "constraints"
+_MOST_CONSTRAINTS: Final = 50
 """Name of the parameter that all problems have: the operational design domain."""
 
 _PARAMS: Final = "/problem/params"
 _ABOUT_ODD: Final = (
     "Operational design domain: limits by component.parameter, each one value, a list of choices, or "
     '{"min": …, "max": …}. A * in a name stands for any characters.'
+)
+
+_ABOUT_CONSTRAINTS: Final = (
+    "Conditions that every solution meets, such as gap > 2 * speed / 3.6; the others are never simulated."
 )
 
 _BOUNDS = ("ge", "gt", "le", "lt")
@@ -255,7 +262,7 @@ def spelled_out(problem_id: str, params: Mapping[str, Any]) -> tuple[Problem, di
 def _spelled_out(
     kind: type[Any], problem_id: str, params: Mapping[str, Any]
 ) -> tuple[Problem, dict[str, Any]]:
-    given = {name: value for name, value in params.items() if name != ODD}
+    given = {name: value for name, value in params.items() if name not in (CONSTRAINTS, ODD)}
     own = make_params(kind.params_type, given, _PARAMS)
     problem = kind(own)
     if not isinstance(problem, SimulatedProblem | InProcessProblem):
@@ -264,10 +271,23 @@ def _spelled_out(
             f"brink.server.problems.base, got {kind.__name__}"
         )
     everything = asdict(own)
+    if params.get(CONSTRAINTS):
+        problem.space = _constrained(problem.space, params[CONSTRAINTS])
+        everything |= {CONSTRAINTS: list(params[CONSTRAINTS])}
     if params.get(ODD):
         problem.space = _within_odd(problem.space, params[ODD])
         everything |= {ODD: odd} if (odd := odd_of(problem.space)) else {}
     return problem, everything
+
+
+def _constrained(space: SearchSpace, constraints: object) -> SearchSpace:
+    if not isinstance(constraints, list) or len(constraints) > _MOST_CONSTRAINTS:
+        message = f"expected a list of at most {_MOST_CONSTRAINTS} conditions, such as ['gap > 2 * speed']"
+        raise InvalidInput.at(f"{_PARAMS}/{CONSTRAINTS}", message)
+    try:
+        return space.constrained(constraints)
+    except SpaceError as error:
+        raise InvalidInput.at(f"{_PARAMS}/{CONSTRAINTS}", str(error)) from None
 
 
 def _within_odd(space: SearchSpace, odd: object) -> SearchSpace:
@@ -369,6 +389,13 @@ def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:
         "label": "ODD",
         "default": {},
         "description": _ABOUT_ODD,
+    }
+    schema["properties"][CONSTRAINTS] = {
+        "type": "array",
+        "items": {"type": "string"},
+        "title": "Constraints",
+        "default": [],
+        "description": _ABOUT_CONSTRAINTS,
     }
     requirement = schema["properties"].get("requirement")
     if requirement is not None and problem.requirements:

@@ -73,7 +73,7 @@ def test_columns_give_columns() -> None:
 
 def test_a_name_is_compared_with_a_text() -> None:
     formula = Formula("weather == 'wet' and speed < 20")
-    assert formula.texts == {"weather"}
+    assert formula.texts == {"weather": {"wet"}}
     assert formula.evaluate({"weather": "wet", "speed": 5})
     assert not formula.evaluate({"weather": "dry", "speed": 5})
     assert formula.margin({"weather": "wet", "speed": 5}) == 15

@@ -124,3 +124,30 @@ def test_limits_of_the_command_line_replace_those_of_the_file() -> None:
 def test_a_later_field_does_not_change_the_hashes_of_older_submissions() -> None:
     body = parse_body(ball(start_from={"campaign": "ab12"}))
     assert "outside_odd" not in body.document()["start_from"]
+
+
+def test_every_problem_takes_constraints_beside_an_odd() -> None:
+    written = "crossing_m > 50 - 20 * arrival_s or weather == 'clear'"
+    params = {"constraints": [written], "odd": {"scenario.crossing_m": {"max": 60}}}
+    problem = make_problem("aeb-crossing@1", params)
+    assert problem.space.constraints == [written]
+    for seed in range(20):
+        drive = problem.space.decode(problem.space.sample(np.random.default_rng(seed)))["scenario"]
+        far = float(drive["crossing_m"]) > 50 - 20 * float(drive["arrival_s"])
+        assert float(drive["crossing_m"]) <= 60
+        assert far or drive["weather"] == "clear"
+
+
+@pytest.mark.parametrize(
+    ("constraints", "words"),
+    [
+        ("gap > 1", "expected a list of at most 50 conditions"),
+        (["crossing > 1"], "did you mean 'crossing_m'"),
+    ],
+)
+def test_a_wrong_constraint_is_refused_with_its_place(constraints: object, words: str) -> None:
+    with pytest.raises(InvalidInput) as refused:
+        make_problem("aeb-crossing@1", {"constraints": constraints})
+    (error,) = refused.value.errors
+    assert error.pointer == "/problem/params/constraints"
+    assert words in error.message
