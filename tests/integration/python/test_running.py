@@ -215,10 +215,10 @@ def test_a_function_that_fails_too_often_is_counted(folder: Path) -> None:
         (inside, {"x": (0.0, 1.0)}, "missing a required argument"),
         (inside, {**SPACE, "z": (0.0, 1.0)}, "unexpected keyword argument 'z'"),
         (inside, {"a": {"x": (0.0, 1.0)}, "b": {"x": (0.0, 1.0)}}, "expected different names"),
-        (inside, {**SPACE, "side": [1, 2, 3]}, "or choices such as"),
+        (inside, {**SPACE, "side": [1, 2, 3, 4]}, "choices such as"),
         (inside, {**SPACE, "x": (1.0, 0.0)}, "low < high"),
         (inside, {}, "at least one parameter"),
-        (inside, {**SPACE, "x": range(3, 4)}, "at least two whole numbers"),
+        (inside, {**SPACE, "x": range(3, 4)}, "at least two ascending numbers"),
     ],
 )
 def test_a_space_that_does_not_fit_the_function_is_refused(function: Any, space: Any, words: str) -> None:
