@@ -67,6 +67,8 @@ class LongestFirst(LoadFileScheduling):  # type: ignore[misc]
         "tests/unit/sim",
         "tests/unit/plots",
         "tests/contract",
+        "tests/unit/worker",
+        "tests/unit/search",
     )
 
     def _split_scope(self, nodeid: str) -> str:

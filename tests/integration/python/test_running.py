@@ -179,7 +179,9 @@ def test_an_exception_in_a_function_is_shown_and_stops_the_search(folder: Path) 
         raise RuntimeError(f"no road at {x:.0f}")
 
     with pytest.raises(CampaignUnfinished) as caught:
-        brink.search(broken, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=400, progress=False)
+        brink.search(
+            broken, {"x": (0.0, 1.0)}, algorithm="random@1", simulations=400, workers=1, progress=False
+        )
     found = re.match(
         r"broken: (\d+) of \1 calls failed, so the search was paused\. The first: ", str(caught.value)
     )
@@ -229,7 +231,7 @@ def test_a_space_that_does_not_fit_the_function_is_refused(function: Any, space:
 def test_a_finished_campaign_is_returned_and_not_run_again(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    first = brink.run(HILLS, progress=False)
+    first = brink.run(HILLS, workers=1, progress=False)
     again = brink.run(HILLS.document())
     said = f"finished earlier, on {datetime.now(UTC):%Y-%m-%d} at "
     assert again.note.startswith(said)
@@ -238,7 +240,7 @@ def test_a_finished_campaign_is_returned_and_not_run_again(
         assert again.note in shown
     assert first.note == ""
     assert "earlier" not in repr(first)
-    another = brink.run(HILLS, progress=False, resume=False)
+    another = brink.run(HILLS, workers=1, progress=False, resume=False)
     assert first.id == again.id != another.id
     assert another.note == ""
     assert first.digest == another.digest

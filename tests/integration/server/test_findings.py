@@ -143,7 +143,7 @@ def test_a_kind_of_a_plug_in_that_fails_or_hangs_loses_no_finding_but_its_own(
         id = f"{kind.id}@1"
         finds = ("extremes", kind.id)
 
-    monkeypatch.setattr(user_code, "VIEW_LIMIT_S", 0.3)
+    monkeypatch.setattr(user_code, "VIEW_LIMIT_S", 1.0)
     monkeypatch.setitem(catalogue._registered, FINDINGS, {ExtremesKind.id: ExtremesKind, kind.id: kind})
     monkeypatch.setitem(catalogue._registered[ALGORITHMS], Algorithm.id, Algorithm)
     made = finish(client, ball(simulations=40, algorithm={"id": Algorithm.id}))
