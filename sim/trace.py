@@ -10,7 +10,7 @@ import json
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Self, TypeAlias
 
 import numpy as np
@@ -275,6 +275,7 @@ class Trace:
         reference: What a reference driver did in the system's place; None without one.
         guard: What a guard said; None without one.
         pitch_rad: Pitch of the camera, positive if it looks up, shape ``(n,)``; None if it is unknown.
+        signals: Signals that the simulator logs, by name, shape ``(n,)`` each.
     """
 
     time_s: FloatArray
@@ -297,6 +298,7 @@ class Trace:
     reference: "Trace | None" = None
     guard: GuardTrack | None = None
     pitch_rad: FloatArray | None = None
+    signals: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def to_bytes(self) -> bytes:
         """Return the trace as a compressed npz archive."""
@@ -321,6 +323,8 @@ class Trace:
             arrays[f"scene.{index}"] = surface.points
         for index, series in enumerate(self.robustness.values()):
             arrays[f"robustness.{index}"] = series
+        for index, series in enumerate(self.signals.values()):
+            arrays[f"signal.{index}"] = series
         header: dict[str, Any] = {
             "version": TRACE_VERSION,
             "ego_size_m": list(self.ego_size_m),
@@ -335,6 +339,8 @@ class Trace:
             "events": [[e.time_s, e.kind, e.text] for e in self.events],
             "about": dict(self.about),
         }
+        if self.signals:
+            header["signals"] = list(self.signals)
         if self.film is not None:
             arrays.update(self.film.arrays())
         if self.reference is not None:
@@ -429,6 +435,7 @@ class Trace:
             film=Film.from_arrays(arrays),
             guard=GuardTrack.of(header.get("guard"), arrays),
             pitch_rad=series("pitch_rad"),
+            signals={str(name): arrays[f"signal.{i}"] for i, name in enumerate(header.get("signals", ()))},
         )
 
 

@@ -196,8 +196,9 @@ async def run_episode(api: Api, campaign: str, number: int) -> Trace:
             return Trace.from_bytes(kept.content)
     body = (await api.read(CampaignView, f"/campaigns/{campaign}")).body
     spec = (await api.read(SolutionView, f"/campaigns/{campaign}/solutions/{number}")).spec
-    if not make_plan(body).problem.records_traces:
-        raise NothingToReplay(f"{body.problem.id} has no drives to replay")
+    problem = make_plan(body).problem
+    if not (problem.records_traces or problem.records_signals):
+        raise NothingToReplay(f"{problem.id} has no drives to replay")
     if spec is None:
         raise NothingToReplay(f"solution {number} was not simulated: it has no replay")
 

@@ -1,9 +1,9 @@
 """A pair as a picture or a film of both drives, or as a figure if there is nothing to replay, with its words."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, cast
 
 from brink.api.client import Api
 from brink.api.results import (
@@ -16,8 +16,12 @@ from brink.api.results import (
     run_episode,
 )
 from brink.pictures import DrivePair, Side, render_pair
+from brink.server.api.schemas import CampaignView
+from brink.server.campaigns.plan import make_plan
 from brink.server.findings.pairs.views import PairsView, PairView
+from brink.server.problems.base import Problem
 from brink.server.problems.changes import as_sentence
+from brink.sim.trace import VIOLATED_AT_S
 
 FILMS: Final = (".mp4", ".gif")
 _MOST_LETTERS: Final = 230
@@ -45,12 +49,15 @@ async def write_pair(
             unknown.
 
     Returns:
-        Whether it shows the drives: False if there is nothing to replay, so that it is a figure.
+        Whether it shows the drives: False if there is nothing to replay, so that it is a figure of signals or of
+        parameters.
 
     Raises:
         NoTrace: A drive cannot be run again; for a picture only if that failed, not if there is nothing to replay.
     """
+    problem = make_plan((await api.read(CampaignView, f"/campaigns/{view.campaign}")).body).problem
     try:
+        _check_recorded(problem, view, path)
         drives = await _drives(api, view, pair, workers=workers, show=show)
     except NothingToReplay:
         if path.suffix.lower() in FILMS:
@@ -60,18 +67,31 @@ async def write_pair(
         return False
     what = f"drawing {path}"
     show(what, 0, 0)
+    if not problem.records_traces:
+        await asyncio.to_thread(_draw_signals, drives, path)
+        return False
     await asyncio.to_thread(
         render_pair, drives, path, on_progress=lambda done, total: show(what, done, total)
     )
     return True
 
 
+def _check_recorded(problem: Problem, view: PairsView, path: Path) -> None:
+    """Check that a problem records what is to be drawn.
+
+    Raises:
+        NothingToReplay: It does not.
+    """
+    if view.computed and not problem.records_signals:
+        raise NothingToReplay("verdicts are computed, so there is no drive to film: ask for --picture")
+    if path.suffix.lower() in FILMS and not problem.records_traces:
+        raise NothingToReplay(f"{problem.id} records no drive to film: ask for --picture")
+
+
 async def _drives(
     api: Api, view: PairsView, pair: PairView, *, workers: bool, show: Callable[[str, int, int], None]
 ) -> DrivePair:
     """Return both drives of a pair with the words of the pair."""
-    if view.computed:
-        raise NothingToReplay("verdicts are computed, so there is no drive to film: ask for --picture")
     sides: list[Side] = []
     for side in (pair.safe, pair.unsafe):
         show(f"simulating both drives of pair {pair.place} again", len(sides), 2)
@@ -100,6 +120,26 @@ def headline(pair: PairView) -> str:
 def facts(view: PairsView, pair: PairView) -> list[str]:
     """Return the number of the pair and further facts about it, in sentences."""
     return [f"Pair {pair.place} of {view.distinct} of {view.name}.", *pair.facts]
+
+
+def _draw_signals(drives: DrivePair, path: Path) -> None:
+    """Draw the signals of both sides of a pair over time."""
+    from brink.plots.signals import Recorded, figure_signals
+    from brink.plots.style import SAFE, UNSAFE
+
+    sides = [
+        Recorded(
+            label=f"{label}: solution {side.number}",
+            colour=colour,
+            time_s=side.trace.time_s,
+            signals=side.trace.signals,
+            margins=side.trace.robustness,
+            violated_at_s=cast(Mapping[str, float], side.trace.about[VIOLATED_AT_S]),
+        )
+        for label, colour, side in (("safe", SAFE, drives.safe), ("unsafe", UNSAFE, drives.unsafe))
+    ]
+    stated = cast(Mapping[str, Any], drives.unsafe.trace.about["spec"])["options"]["requirements"]
+    figure_signals(sides, stated, drives.change, " ".join([*drives.findings, *drives.facts])).savefig(path)
 
 
 def _draw_figure(fetched: FetchedArchive, view: PairsView, pair: PairView, path: Path) -> None:

@@ -122,6 +122,7 @@ class BaseProblem(ABC):
         requirements: Ids of the requirements that give the verdict: a solution is unsafe if it violates any of them.
         ignores_seeds: Whether chance has no part in the verdicts, so that every seed gives the same one.
         records_traces: Whether there are drives to replay.
+        records_signals: Whether traces have signals, which pairs are drawn with if there are no drives to replay.
         records_activity: Whether `activity` is implemented.
         has_component: Whether it has a machine-learned component that ground truth can replace.
         terms_of_changes: What a term in descriptions of changes means that a reader may not know, such as
@@ -146,6 +147,7 @@ class BaseProblem(ABC):
     requirements: tuple[str, ...] = ()
     ignores_seeds: bool = False
     records_traces: bool = True
+    records_signals: bool = False
     records_activity: bool = False
     has_component: bool = False
     terms_of_changes: str = ""

@@ -11,9 +11,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar, Final
 
 from brink.search.errors import ConfigError, SpaceError
-from brink.search.parameters import Categorical, Integer, Parameter, Real
 from brink.search.settings import check_settings, setting
-from brink.search.space import Component, SearchSpace
+from brink.search.shorthand import space_of
+from brink.search.space import SearchSpace
 from brink.server.problems.base import Vectors
 from brink.server.problems.plain_values import PlainValues
 from brink.sim.adapters.command.definition import Definition
@@ -32,7 +32,6 @@ _EXAMPLE: Final[Mapping[str, Any]] = {
     "signals": {"file": "log.csv"},
     "requirements": {"positive": {"signal": "x", "above": 0.0}},
 }
-_NUMBER_FIELDS: Final = ("min", "max", "unit", "step", "resolution")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +62,7 @@ class CommandParams:
     )
     space: dict[str, Any] = field(
         default_factory=lambda: _EXAMPLE["space"],
-        metadata={"help": "Search space: by component and name, {min, max, unit, step} or {values}."},
+        metadata={"help": "Search space: by component and name, {min, max, unit, step, log} or {values}."},
     )
     signals: dict[str, Any] = field(
         default_factory=lambda: _EXAMPLE["signals"],
@@ -108,44 +107,26 @@ def declared_space(declared: Mapping[str, Any], definition: Definition) -> Searc
     """Return the search space that a campaign file declares.
 
     Args:
-        declared: By component and name, ``{min, max, unit, step, resolution}`` or ``{values}``.
-        definition: The definition, which has the choices.
+        declared: By component and name, ``{min, max, unit, step, log, resolution}`` or ``{values}``.
+        definition: The definition, which has the choices as text.
 
     Raises:
         SpaceError: It is malformed.
     """
-    if not declared:
-        raise SpaceError("expected components, such as scenario: {gap: {min: 5, max: 60, unit: m}}")
-    components = []
     for name, part in declared.items():
-        if not isinstance(part, Mapping) or not part:
-            raise SpaceError(f"{name}: expected parameters by name, got {part!r:.80}")
-        components.append(
-            Component(name, tuple(_parameter(key, one, definition) for key, one in part.items()))
-        )
-    return SearchSpace(tuple(components))
-
-
-def _parameter(name: str, declared: object, definition: Definition) -> Parameter:
-    choices = definition.choices.get(name)
-    if choices is not None and isinstance(declared, Mapping) and list(declared) == ["values"]:
-        return Categorical(name, choices)
-    if not isinstance(declared, Mapping) or set(declared) - set(_NUMBER_FIELDS) or "min" not in declared:
-        raise SpaceError(
-            f"{name}: expected {{min, max, unit, step}} or {{values: […]}}, got {declared!r:.80}"
-        )
-    for key in ("min", "max", "step", "resolution"):
-        value = declared.get(key, None if key == "max" else 1)
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise SpaceError(f"{name}: {key}: expected a number, got {value!r:.80}")
-    unit = declared.get("unit", "")
-    if not isinstance(unit, str):
-        raise SpaceError(f"{name}: unit: expected a text, got {unit!r:.80}")
-    low, high, step = declared["min"], declared["max"], declared.get("step")
-    resolution = declared.get("resolution", step)
-    if isinstance(low, int) and isinstance(high, int) and step == 1:
-        return Integer(name, low, high, unit, resolution=resolution)
-    return Real(name, low, high, unit, resolution=resolution)
+        if not isinstance(part, Mapping) or not all(isinstance(one, Mapping) for one in part.values()):
+            raise SpaceError(
+                f"{name}: expected parameters such as gap: {{min: 5, max: 60}}, got {part!r:.80}"
+            )
+    return space_of(
+        {
+            name: {
+                key: one if (choices := definition.choices[key]) is None else {**one, "values": list(choices)}
+                for key, one in part.items()
+            }
+            for name, part in declared.items()
+        }
+    )
 
 
 class Command(PlainValues):
@@ -156,7 +137,8 @@ class Command(PlainValues):
         "Any simulator that is a program: files and a command with placeholders, signals from its log."
     )
     params_type: ClassVar[type[Any]] = CommandParams
-    records_traces = False
+
+    records_signals = True
 
     def __init__(self, params: CommandParams) -> None:
         self.params = params
@@ -165,6 +147,7 @@ class Command(PlainValues):
         self.requirements = tuple(params.requirements)
         self.needs = self.definition.simulator_id(params.program)
         self.timeout_s = params.timeout_s + _GRACE_S
+        self.records_traces = bool(params.signals.get("positions"))
         self.ignores_seeds = not self.definition.takes_seed
 
     def wrong_inputs(self) -> list[tuple[str, str]]:

@@ -417,10 +417,8 @@ def _choices(space: object) -> dict[str, tuple[str, ...] | None]:
 def _found(name: str, environment: Mapping[str, str], field: str) -> str:
     found = shutil.which(name, path=environment["PATH"])
     if found is None:
-        raise DefinitionError(
-            field,
-            f"no program {name!r} here: expected an executable on the path {environment['PATH']}, or its own path",
-        )
+        expected = "an executable file" if "/" in name else f"an executable on the path {environment['PATH']}"
+        raise DefinitionError(field, f"no program {name!r} here: expected {expected}")
     return os.path.abspath(found)
 
 

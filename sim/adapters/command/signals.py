@@ -5,7 +5,7 @@ import io
 import itertools
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, Self, TypeAlias
 
@@ -18,8 +18,9 @@ from brink.user_file import read_file
 FloatArray: TypeAlias = NDArray[np.float64]
 MAX_LOG_BYTES: Final = 64 * 1024**2
 MAX_COLUMNS: Final = 64
+EGO: Final = "ego"
 FORMATS: Final = (".csv", ".jsonl", ".json")
-_FIELDS: Final = ("file", "time", "columns")
+_FIELDS: Final = ("file", "time", "columns", "positions")
 _MAX_HEADER_LINES: Final = 50
 _CALENDAR_S: Final = 1e8
 """A later first time is a time of day since 1970: the episode then begins at 0."""
@@ -38,11 +39,13 @@ class SignalSource:
         file: Name of the log in the working folder: CSV with a header, JSON lines, or JSON.
         time: Its column with the time in s.
         columns: Formula of each signal that is not a column itself, over columns.
+        positions: Of the ego and other vehicles: the signals x and y in m and, if it is logged, the heading in rad.
     """
 
     file: str
     time: str
     columns: Mapping[str, Formula]
+    positions: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, document: object) -> Self:
@@ -65,7 +68,19 @@ class SignalSource:
             raise SignalError(
                 f"columns: expected at most {MAX_COLUMNS} formulas by name, got {columns!r:.80}"
             )
-        return cls(file=str(name), time=time, columns={str(k): _formula(k, v) for k, v in columns.items()})
+        return cls(
+            file=str(name),
+            time=time,
+            columns={str(key): _formula(key, text) for key, text in columns.items()},
+            positions=_positions(document.get("positions", {})),
+        )
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """All signals that the campaign names."""
+        return tuple(
+            dict.fromkeys([*self.columns, *(one for names in self.positions.values() for one in names)])
+        )
 
     def read(self, folder: Path, names: Iterable[str]) -> tuple[FloatArray, dict[str, FloatArray]]:
         """Return the times and some signals of an episode.
@@ -129,6 +144,15 @@ class SignalSource:
             if isinstance(error, SignalError):
                 raise
             raise SignalError(f"{self.file}: not JSON: {error}") from None
+
+
+def _positions(given: object) -> dict[str, tuple[str, ...]]:
+    if isinstance(given, Mapping) and len(given) <= MAX_COLUMNS and (not given or EGO in given):
+        named = {str(key): tuple(one) for key, one in given.items() if isinstance(one, list)}
+        texts = all(isinstance(name, str) and name for one in named.values() for name in one)
+        if len(named) == len(given) and texts and all(len(one) in (2, 3) for one in named.values()):
+            return named
+    raise SignalError(f"positions: expected signals such as {{ego: [x, y, heading]}}, got {given!r:.80}")
 
 
 def _formula(name: object, text: object) -> Formula:

@@ -10,15 +10,16 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import yaml
 
+from brink.sim.adapters.command.attempt import Attempt
 from brink.sim.adapters.command.definition import FIELDS, SEED, Definition, with_contents
+from brink.sim.adapters.command.recording import trace_of
 from brink.sim.adapters.command.requirement import RequirementError, SignalRequirement
-from brink.sim.adapters.command.signals import FloatArray, SignalError, SignalSource
+from brink.sim.adapters.command.signals import SignalError, SignalSource
 from brink.sim.catalogue import SIMULATORS, register
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import DefinitionError, InvalidEpisode, SimulationCrashed
@@ -98,23 +99,6 @@ def read_definition(path: Path) -> Definition:
     return Definition.of(with_contents(given, path.parent))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
-    """What a program did in an episode.
-
-    Attributes:
-        command: Program and arguments.
-        folder: Its working folder.
-        ending: How it ended; None if it was killed at its time limit.
-        output: The end of what it printed.
-    """
-
-    command: tuple[str, ...]
-    folder: Path
-    ending: Ending | None
-    output: str
-
-
 class CommandSimulator:
     """Runs the episodes of one definition.
 
@@ -130,68 +114,90 @@ class CommandSimulator:
         self._supervisor = Supervisor()
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
-        """Run one episode.
+        """Run one episode in a working folder of its own.
 
         Args:
             spec: The episode.
-            record: Has no effect yet.
+            record: Whether the result includes a trace, with all signals that the campaign names.
 
         Raises:
             InvalidEpisode: A value, the signals or a requirement is wrong.
-            SimulationCrashed: The program failed, or logged no usable signals.
+            SimulationCrashed: The program failed, or logged no usable signals. Its folder is kept.
         """
         began_s = time.process_time()
-        spec.check_for(self.id, math.inf)
-        source, requirements = signals_of(spec.options, spec.requirements)
-        with self._ran(spec) as run:
-            time_s, signals = self._signals(run, source, requirements)
-        verdicts = {name: one.verdict(time_s, signals) for name, one in requirements.items()}
-        assert run.ending is not None
+        with _working_folder() as (folder, number):
+            try:
+                done = self.attempt(spec, folder, number, everything=record)
+            except SimulationCrashed as error:
+                raise SimulationCrashed(f"{error}\nits folder is kept: {_kept(folder)}") from None
         return EpisodeResult(
-            verdicts=verdicts,
-            objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
+            verdicts=done.verdicts,
+            objectives={f"{name}:robustness": verdict.robustness for name, verdict in done.verdicts.items()},
             features={},
             provenance=provenance(
                 self.id,
                 began_s,
                 versions_with(),
                 program=self._program,
-                program_cpu_s=run.ending.cpu_s,
-                simulated_s=float(time_s[-1] - time_s[0]),
+                program_cpu_s=done.ending.cpu_s,
+                simulated_s=float(done.time_s[-1] - done.time_s[0]),
             ),
+            trace=trace_of(spec, done).to_bytes() if record else None,
         )
 
-    def _signals(
-        self, run: Run, source: SignalSource, requirements: Mapping[str, SignalRequirement]
-    ) -> tuple[FloatArray, dict[str, FloatArray]]:
-        if run.ending is None or run.ending.status not in self._definition.success:
-            how = (
-                "did not end in time and was killed" if run.ending is None else exit_words(run.ending.status)
-            )
-            raise _crashed(run, how)
-        try:
-            return source.read(run.folder, [name for one in requirements.values() for name in one.signals])
-        except SignalError as error:
-            raise _crashed(run, f"ended, but {error}") from None
+    def attempt(
+        self, spec: EpisodeSpec, folder: Path, number: int = 0, *, everything: bool = True
+    ) -> Attempt:
+        """Run one episode in a given folder, which stays as the program leaves it.
 
-    @contextlib.contextmanager
-    def _ran(self, spec: EpisodeSpec) -> Iterator[Run]:
-        """Run the program; yield what it did, with its folder, which is kept if that raises `SimulationCrashed`."""
+        Args:
+            spec: The episode.
+            folder: An empty folder.
+            number: Number that no other episode running on this machine has.
+            everything: Whether to read all signals that the campaign names, not only those that verdicts need.
+
+        Raises:
+            InvalidEpisode: As for `run`.
+            SimulationCrashed: As for `run`.
+        """
+        spec.check_for(self.id, math.inf)
+        source, requirements = signals_of(spec.options, spec.requirements)
+        texts = self._texts(spec) | {SEED: str(spec.seed), "out": str(folder), "number": str(number)}
+        for name, content in self._definition.files(texts):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+        command = self._definition.arguments(texts)
+        ending, output = self._execute(command, folder, spec.duration_s)
+        if ending.status not in self._definition.success:
+            raise _crashed(command, exit_words(ending.status), output)
+        names = dict.fromkeys(name for one in requirements.values() for name in one.signals)
+        try:
+            time_s, signals = source.read(folder, [*names, *(source.named if everything else ())])
+            verdicts = {name: one.verdict(time_s, signals) for name, one in requirements.items()}
+        except ValueError as error:
+            raise _crashed(command, f"ended, but {error}", output) from None
+        return Attempt(
+            command=command,
+            ending=ending,
+            output=output,
+            source=source,
+            time_s=time_s,
+            signals=signals,
+            requirements=requirements,
+            verdicts=verdicts,
+        )
+
+    def _texts(self, spec: EpisodeSpec) -> dict[str, str]:
         values: dict[str, Any] = {}
         for part in spec.scenario.values():
             values |= part if isinstance(part, dict) else {}
         try:
-            texts = self._definition.texts(values)
+            return self._definition.texts(values)
         except DefinitionError as error:
             raise InvalidEpisode(f"scenario: {error}") from None
-        with _working_folder() as (folder, number):
-            texts |= {SEED: str(spec.seed), "out": str(folder), "number": str(number)}
-            for name, content in self._definition.files(texts):
-                (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                (folder / name).write_bytes(content)
-            yield self._run(self._definition.arguments(texts), folder, spec.duration_s)
 
-    def _run(self, command: tuple[str, ...], folder: Path, timeout_s: float) -> Run:
+    def _execute(self, command: tuple[str, ...], folder: Path, timeout_s: float) -> tuple[Ending, str]:
+        """Run a command to its end; return how it ended, and the end of its output."""
         environment = self._definition.variables(folder)
         deadline_s = time.monotonic() + timeout_s
         try:
@@ -200,15 +206,15 @@ class CommandSimulator:
             raise InvalidEpisode(f"{command[0]} cannot be run: {error.strerror}") from None
         with program:
             while (ending := program.wait(min(deadline_s, time.monotonic() + _LOOK_S))) is None:
+                how = ""
                 if time.monotonic() >= deadline_s:
-                    break
-                if _size(folder) > MAX_FOLDER_BYTES:
+                    how = f"did not end in {timeout_s:g} s and was killed"
+                elif _size(folder) > MAX_FOLDER_BYTES:
+                    how = f"wrote more than {MAX_FOLDER_BYTES:,} bytes and was killed"
+                if how:
                     program.kill()
-                    run = Run(command=command, folder=folder, ending=None, output=program.output())
-                    raise _crashed(run, f"wrote more than {MAX_FOLDER_BYTES:,} bytes and was killed")
-            if ending is None:
-                program.kill()
-            return Run(command=command, folder=folder, ending=ending, output=program.output())
+                    raise _crashed(command, how, program.output())
+            return ending, program.output()
 
 
 def signals_of(
@@ -234,10 +240,9 @@ def signals_of(
         raise InvalidEpisode(f"options: {error}") from None
 
 
-def _crashed(run: Run, how: str) -> SimulationCrashed:
-    printed = run.output.strip()
-    words = f"{Path(run.command[0]).name} {how}; its folder is kept: {_kept(run.folder)}"
-    return SimulationCrashed(f"{words}\n{printed[-2000:] or 'it printed nothing'}")
+def _crashed(command: tuple[str, ...], how: str, output: str) -> SimulationCrashed:
+    printed = output.strip()
+    return SimulationCrashed(f"{Path(command[0]).name} {how}\n{printed[-2000:] or 'it printed nothing'}")
 
 
 def _size(folder: Path) -> int:

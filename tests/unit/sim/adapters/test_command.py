@@ -1,6 +1,7 @@
 """Programs as simulators: what runs, what may not, and what becomes of failures."""
 
 import json
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from brink.sim.adapters.command.signals import SignalError, SignalSource
 from brink.sim.adapters.command.simulator import CommandSimulator
 from brink.sim.episode import EpisodeResult, EpisodeSpec
 from brink.sim.errors import DefinitionError, InvalidEpisode, SimulationCrashed
+from brink.sim.trace import Trace
 
 LOG = "import sys\nopen('log.csv', 'w').write('time,x\\n0,1\\n1,' + sys.argv[1] + '\\n')\n"
 SPACE = {"scenario": {"x": {"min": -5, "max": 5}}}
@@ -41,23 +43,26 @@ def definition_of(script: str = LOG, **changed: Any) -> Definition:
     return Definition.of(with_contents(params, folder))
 
 
-def run(
-    definition: Definition, x: object = 3.5, *, timeout_s: float = 60.0, file: str = "log.csv", **values: Any
-) -> EpisodeResult:
-    simulator = CommandSimulator(definition, "0")
-    spec = EpisodeSpec(
+def spec_of(
+    simulator: CommandSimulator, scenario: dict[str, Any], timeout_s: float = 60.0, **signals: Any
+) -> EpisodeSpec:
+    return EpisodeSpec(
         simulator=simulator.id,
-        scenario={"scenario": {"x": x, **values}},  # type: ignore[dict-item]
+        scenario={"scenario": scenario},
         behaviour={},
         requirements=("high",),
         seed=7,
         duration_s=timeout_s,
         options={
-            "signals": {"file": file, "columns": {"twice": "2 * x"}},
+            "signals": {"file": "log.csv", "columns": {"twice": "2 * x"}, **signals},
             "requirements": {"high": {"signal": "twice", "above": -1.5, "unit": "m"}},
         },
     )
-    return simulator.run(spec)
+
+
+def run(definition: Definition, x: object = 3.5, *, timeout_s: float = 60.0, **values: Any) -> EpisodeResult:
+    simulator = CommandSimulator(definition, "0")
+    return simulator.run(spec_of(simulator, {"x": x, **values}, timeout_s))
 
 
 def test_the_verdict_is_the_smallest_margin_with_the_time_of_the_first_violation() -> None:
@@ -204,7 +209,9 @@ def test_few_folders_of_failed_episodes_are_kept(own_folder: Path) -> None:
 
 
 def test_a_program_that_prints_and_writes_without_end_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(SimulationCrashed, match=r"did not end in time(?s:.*)abcabc$"):
+    with pytest.raises(
+        SimulationCrashed, match=r"did not end in 1 s and was killed\n(?s:.*)abc[abc]*\nits folder"
+    ):
         run(definition_of("while True: print('abc' * 10_000)"), timeout_s=1.0)
     monkeypatch.setattr(module, "MAX_FOLDER_BYTES", 1_000_000)
     script = "import itertools\nfor n in itertools.count(): open(str(n), 'w').write('x' * 50_000)"
@@ -225,7 +232,7 @@ if os.fork() == 0:
 time.sleep(0.3)
 """
     assert run(definition_of(script + LOG)).verdicts
-    with pytest.raises(SimulationCrashed, match="did not end in time"):
+    with pytest.raises(SimulationCrashed, match="did not end in 1 s"):
         run(definition_of(script + "time.sleep(60)"), timeout_s=1.0)
     names = [name for one in Path("/proc").glob("[0-9]*/comm") if (name := _read(one)) == "brink-stays"]
     assert names == []
@@ -285,3 +292,22 @@ def test_logs_are_read_in_all_formats(name: str, tmp_path: Path) -> None:
 def test_wrong_signals_are_refused(document: object) -> None:
     with pytest.raises(SignalError, match=r"expected|allowed"):
         SignalSource.of(document)
+
+
+def test_a_recorded_episode_has_its_signals_and_a_drive_from_above() -> None:
+    script = """
+with open("log.csv", "w") as log:
+    log.write("time,x,y\\n" + "".join(f"{n / 100},{500_000 + n},{n}\\n" for n in range(7000)))
+"""
+    simulator = CommandSimulator(definition_of(script), "0")
+    positions = {"ego": ["x", "y"], "lead": ["ahead", "y"]}
+    columns = {"twice": "2 * x - 1e6", "ahead": "x + 20"}
+    recorded = simulator.run(spec_of(simulator, {"x": 1}, columns=columns, positions=positions), record=True)
+    assert recorded.trace is not None
+    trace = Trace.from_bytes(recorded.trace)
+    assert trace.signals["twice"][:3].tolist() == [0, 6, 12]  # every third sample
+    assert trace.time_s.shape == trace.signals["twice"].shape == trace.robustness["high"].shape
+    x_m, y_m, yaw_rad, speed_mps, _ = trace.ego[1]
+    assert (x_m, y_m) == (3, 3)  # from where the ego was at first
+    assert (yaw_rad, speed_mps) == pytest.approx((math.pi / 4, math.hypot(100, 100)), rel=1e-3)
+    assert trace.actors[0].motion[1].tolist()[:2] == [23, 3]

@@ -1,0 +1,154 @@
+"""`brink try`: one episode of a campaign that runs a command, to see whether it does what it should."""
+
+import shlex
+import shutil
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+import typer
+
+from brink.cli.options import CampaignFile, about_file, console, named_values, plain_table
+from brink.search.errors import SpaceError
+from brink.search.parameters import Categorical
+from brink.search.space import SearchSpace
+from brink.server.campaigns.body import read_campaign_file
+from brink.server.campaigns.plan import make_checked_plan
+from brink.server.errors import InvalidInput
+from brink.server.problems.command import Command
+from brink.sim.adapters.command.attempt import Attempt
+from brink.sim.adapters.command.simulator import CommandSimulator
+from brink.sim.episode import EpisodeSpec
+from brink.sim.errors import SimulatorError
+
+FOLDER: Final = Path("brink-try")
+_SHOWN_LINES: Final = 20
+_MARK: Final = ".brink-try"
+"""A folder with this file may be emptied."""
+
+
+def try_(
+    file: CampaignFile,
+    values: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            show_default=False,
+            help="Value of a parameter; may be repeated. Others are in the middle of their range.",
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the episode.")] = 1,
+    folder: Annotated[
+        Path,
+        typer.Option(
+            help="Working folder, which is emptied first; a plot of the signals is written beside it."
+        ),
+    ] = FOLDER,
+) -> None:
+    """Run one episode of a campaign with command@1; show command, folder, signals and verdicts.
+
+    Exits with 1 if the episode fails.
+
+    Example: brink try cut-in.yaml --set delay=1.5
+    """
+    body = read_campaign_file(file)
+    with about_file(file):
+        problem = make_checked_plan(body).problem
+    if not isinstance(problem, Command):
+        raise InvalidInput.at(
+            "/problem/id", f"expected {Command.id}, whose command can be tried; got {problem.id}"
+        )
+    given = named_values("--set", values, "scenario.gap=12")
+    chosen = _chosen(problem.space, given)
+    try:
+        spec = problem.episode(problem.space.encode(chosen), seed)
+    except SpaceError as error:
+        raise InvalidInput.at("--set", str(error)) from None
+    if folder.exists() and not (folder / _MARK).exists() and any(folder.iterdir()):
+        raise InvalidInput.at(
+            "--folder", f"{folder} has files that brink try did not write: name another one"
+        )
+    screen = console()
+    shown = ", ".join(f"{name}={value}" for part in chosen.values() for name, value in part.items())
+    screen.print(f"values: {shown}; seed {seed}", soft_wrap=True, markup=False)
+    screen.print(f"folder: {folder.absolute()}", soft_wrap=True, markup=False)
+    simulator = CommandSimulator(problem.definition, problem.params.program)
+    try:
+        done = _attempt(simulator, spec, folder)
+        again = None if problem.definition.takes_seed else _attempt(simulator, spec, folder)
+    except SimulatorError as error:
+        screen.print(f"no verdict: {error}", soft_wrap=True, markup=False, style="red")
+        raise typer.Exit(1) from None
+    _show(done, problem, folder, f"{body.name}: {shown}")
+    if again is not None:
+        same = all(np.array_equal(one, again.signals[name]) for name, one in done.signals.items())
+        what = "the same" if same else "OTHER"
+        words = f"the command takes no {{seed}}; a second run with these values gave {what} signals"
+        screen.print(words, markup=False)
+
+
+def _attempt(simulator: CommandSimulator, spec: EpisodeSpec, folder: Path) -> Attempt:
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    (folder / _MARK).touch()
+    return simulator.attempt(spec, folder.absolute())
+
+
+def _chosen(space: SearchSpace, given: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the values of all parameters, by component: those that were given, others from the middle.
+
+    Raises:
+        InvalidInput: A name is unknown.
+    """
+    chosen: dict[str, dict[str, Any]] = {}
+    left = dict(given)
+    for component in space.components:
+        part = chosen.setdefault(component.name, {})
+        for parameter in component.parameters:
+            if isinstance(parameter, Categorical):
+                usual: Any = parameter.choices[0]
+            else:
+                usual = parameter.decode(parameter.clipped((parameter.least + parameter.most) / 2))
+            value = left.pop(f"{component.name}.{parameter.name}", left.pop(parameter.name, usual))
+            part[parameter.name] = str(value) if isinstance(parameter, Categorical) else value
+    if left:
+        names = ", ".join(name for part in chosen.values() for name in part)
+        raise InvalidInput.at("--set", f"no parameter is called {min(left)!r}; expected one of {names}")
+    return chosen
+
+
+def _show(done: Attempt, problem: Command, folder: Path, title: str) -> None:
+    # matplotlib takes half a second to load.
+    from brink.plots.signals import Recorded, figure_signals
+    from brink.plots.style import INK
+
+    screen = console()
+    screen.print(f"command: {shlex.join(done.command)}", soft_wrap=True, markup=False)
+    if printed := done.output.strip():
+        screen.print(
+            "printed: " + "\n".join(printed.splitlines()[-_SHOWN_LINES:]), soft_wrap=True, markup=False
+        )
+    rows = [(name, f"{one.min():.4g}", f"{one.max():.4g}") for name, one in done.signals.items()]
+    screen.print(f"{len(done.time_s):,} samples from {done.time_s[0]:g} to {done.time_s[-1]:g} s")
+    screen.print(plain_table("signal", "least", "greatest", right=("least", "greatest"), rows=rows))
+    for name, verdict in done.verdicts.items():
+        when = "" if verdict.violated_at_s is None else f" at {verdict.violated_at_s:.2f} s"
+        words = f"violated{when}" if verdict.violated else "held"
+        screen.print(
+            f"{name}: {words}, robustness {verdict.robustness:.4g} {verdict.unit}".rstrip(), markup=False
+        )
+    violated = {
+        name: one.violated_at_s for name, one in done.verdicts.items() if one.violated_at_s is not None
+    }
+    side = Recorded(
+        label="",
+        colour=INK,
+        time_s=done.time_s,
+        signals=done.signals,
+        margins={name: one.margins(done.time_s, done.signals) for name, one in done.requirements.items()},
+        violated_at_s=violated,
+    )
+    path = folder.with_name(f"{folder.name}.png")
+    figure_signals([side], problem.params.requirements, title, "").savefig(path)
+    screen.print(f"plot: {path}", markup=False)
