@@ -15,10 +15,11 @@ from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Protocol, cast
 
 from brink.extras import has_extra
-from brink.sim.episode import COMMAND_PREFIX, EpisodeResult, EpisodeSpec
+from brink.sim.episode import COMMAND_PREFIX, EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import ExtraMissing, InvalidEpisode, PluginMissing
 from brink.sim.requirements import Requirement
 from brink.sim.sources import distribution_digest, is_own, module_digest, modules_digest
@@ -409,15 +410,24 @@ def make_requirement(requirement_id: str) -> Requirement:
     return cast(Callable[[], Requirement], factory)()
 
 
-def make_requirements(wanted_ids: Sequence[str]) -> dict[str, Requirement]:
+def make_requirements(
+    wanted_ids: Sequence[str], formulas: Mapping[str, Json] = MappingProxyType({})
+) -> dict[str, Requirement]:
     """Return new requirements for one episode by id, in the given order.
 
+    Args:
+        wanted_ids: Ids of plug-ins, and names of formulas.
+        formulas: Formulas as in `EpisodeSpec`.
+
     Raises:
-        InvalidEpisode: An id is unknown or listed twice.
+        InvalidEpisode: An id is unknown or listed twice, or a formula is wrong.
     """
+    from brink.sim.formula_requirement import formula_requirements  # clients know plug-ins without NumPy
+
+    stated = formula_requirements(formulas)
     made: dict[str, Requirement] = {}
     for requirement_id in wanted_ids:
         if requirement_id in made:
             raise InvalidEpisode(f"requirements: {requirement_id!r} is listed twice")
-        made[requirement_id] = make_requirement(requirement_id)
+        made[requirement_id] = stated.get(requirement_id) or make_requirement(requirement_id)
     return made

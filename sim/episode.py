@@ -32,12 +32,13 @@ class EpisodeSpec:
         simulator: Versioned plug-in id, such as ``brink-drive@3``.
         scenario: The world, in terms that the simulator defines.
         behaviour: What the machine-learned component does, in terms that the simulator defines.
-        requirements: Ids of the requirements to evaluate, in order.
+        requirements: Ids of the requirements to evaluate, or their names in `formulas`, in order.
         seed: Seed of all random draws of the episode, in [0, 2**53).
         duration_s: Simulated time, > 0.
         options: Further settings of the simulator (fidelity, mode, ...).
         sources: Digests of the sources of the plug-ins that it names, except Brink's own; see
             `brink.sim.catalogue.named_sources`.
+        formulas: Requirements in signal temporal logic by name; see `brink.sim.formula_requirement`.
     """
 
     simulator: str
@@ -48,6 +49,7 @@ class EpisodeSpec:
     duration_s: float
     options: Mapping[str, Json] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
+    formulas: Mapping[str, Json] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not 0 <= self.seed <= MAX_SEED:
@@ -81,6 +83,7 @@ class EpisodeSpec:
             "duration_s": self.duration_s,
             "options": dict(self.options),
             **({"sources": dict(self.sources)} if self.sources else {}),
+            **({"formulas": dict(self.formulas)} if self.formulas else {}),
         }
 
     @classmethod
@@ -99,6 +102,7 @@ class EpisodeSpec:
             "duration_s": (int, float),
             "options": (dict,),
             "sources": (dict,),
+            "formulas": (dict,),
         }
         unknown = sorted(set(document) - set(expected))
         if unknown:
@@ -107,7 +111,7 @@ class EpisodeSpec:
             )
         for name, types in expected.items():
             if name not in document:
-                if name in ("options", "sources"):
+                if name in ("options", "sources", "formulas"):
                     continue
                 raise InvalidEpisode(f"{name}: missing")
             if not isinstance(document[name], types) or isinstance(document[name], bool):

@@ -25,6 +25,7 @@ from brink.search.streams import Stream, episode_seed, generator
 from brink.server.campaigns.body import PluginChoice
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import SimulatedProblem
+from brink.server.problems.requirements import formulas_in
 from brink.sim.catalogue import with_sources
 from brink.sim.driving.interface import PERCEPTION_STEP_S
 from brink.sim.episode import EpisodeSpec, Json, Verdict
@@ -141,7 +142,9 @@ def with_requirements(choice: PluginChoice, requirements: Sequence[str]) -> Plug
     """Return a problem of urban drives whose verdict is given by some requirements, if any are named."""
     if not requirements:
         return choice
-    return PluginChoice(id=choice.id, params={**choice.params, "requirement": list(requirements)})
+    formulas = formulas_in(choice.params.get("requirement", []))
+    stated = [{name: formulas[name]} if name in formulas else name for name in requirements]
+    return PluginChoice(id=choice.id, params={**choice.params, "requirement": stated})
 
 
 def check_requirements(problem: SimulatedProblem, requirements: Sequence[str]) -> None:

@@ -225,7 +225,7 @@ class FramePainter:
             return self.story.words
         if not np.isfinite(self.story.least):
             return self.story.words.replace(held, f"{name.replace('-', ' ')} never applied", 1)
-        spare = f"{held} ({with_unit(self.story.least, name)} to spare at {clock_words(time_s)})"
+        spare = f"{held} ({with_unit(self.story.least, self.story.unit)} to spare at {clock_words(time_s)})"
         return self.story.words.replace(held, spare, 1)
 
     def _told(self, violation: ViolatedHere) -> str:
@@ -340,7 +340,9 @@ class _Panel:
         value = float(self._trace.robustness[self._story.requirement][sample])
         top = self._top + 14 * self._unit
         finite = bool(np.isfinite(value))
-        text, note = measured_words(self._story.requirement, value) if finite else ("not applicable", "")
+        text, note = "not applicable", ""
+        if finite:
+            text, note = measured_words(self._story.requirement, value, self._story.unit)
         colour = VIOLATION if value < 0 else INK
         draw.text(
             (middle, top),

@@ -31,7 +31,7 @@ from brink.pictures.scene import (
     plain_name,
     spec_part,
 )
-from brink.pictures.story import Judged, Story, measured_words, no_needless_braking, story_of, unit_of
+from brink.pictures.story import Judged, Story, measured_words, no_needless_braking, story_of
 from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import FloatArray, Trace
 from brink.sim.verdict import clock_words
@@ -330,7 +330,7 @@ def state_words(side: Side, story: Story, time_s: float) -> str:
     value = float(side.trace.robustness[story.requirement][sample])
     if has_ended(side.trace, time_s) or not np.isfinite(value):
         return motion
-    return f"{motion}, {_margin_words(story.title, value)}"
+    return f"{motion}, {_margin_words(story.title, value, story.unit)}"
 
 
 def motion_words(trace: Trace, time_s: float) -> str:
@@ -345,17 +345,17 @@ def motion_words(trace: Trace, time_s: float) -> str:
     return f"{speed}, plan: {does}"
 
 
-def _margin_words(title: str, value: float) -> str:
+def _margin_words(title: str, value: float, unit: str) -> str:
     """Describe the measurement and the requirement, or else the margin to the limit."""
     if plain_name(title) == "front-gap":
-        gap, note = measured_words(title, value)
+        gap, note = measured_words(title, value, unit)
         return f"front gap {gap}, {note}" if note else gap
     if no_needless_braking(title, value):
-        return measured_words(title, value)[0]
+        return measured_words(title, value, unit)[0]
     shown = next(
         (text for digits in range(1, _MOST_DIGITS) if float(text := f"{abs(value):.{digits}f}") > 0), "just"
     )
-    margin = shown if shown == "just" else f"{shown} {unit_of(title)}".strip()
+    margin = shown if shown == "just" else f"{shown} {unit}".strip()
     return f"{title.replace('-', ' ')}: {margin} {'too little' if value < 0 else 'to spare'}"
 
 

@@ -22,7 +22,7 @@ from brink.pictures.guard import guard_words
 from brink.pictures.motion import distances, plan_words, scripts_of
 from brink.pictures.pair import Interval, Mark, Nearest, PairStory, ended_words
 from brink.pictures.scene import LABELS, PERSON, EpisodeScene, front_gap, obstacles_on
-from brink.pictures.story import margin_name, report_word, reported, runs, unit_of
+from brink.pictures.story import margin_name, report_word, reported, runs
 from brink.pictures.style import (
     GUARD_DOES,
     INK,
@@ -41,7 +41,7 @@ from brink.pictures.style import (
     readable_on,
     typeface,
 )
-from brink.pictures.timeline import DPI, GREATEST_ROBUSTNESS, style_axes
+from brink.pictures.timeline import DPI, GREATEST_ROBUSTNESS, style_axes, write_formula
 from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import Trace
 from brink.sim.verdict import clock_words
@@ -394,7 +394,8 @@ def _plot_robustness(axes: Axes, story: PairStory, window: Interval) -> None:
         line.set_ydata(np.minimum(np.asarray(line.get_ydata(), dtype=np.float64), most * _TOP))
     axes.axhspan(least - most, 0, color=hexadecimal(VIOLATION), alpha=0.07, linewidth=0)
     axes.axhline(0, color=hexadecimal(VIOLATION), linewidth=1.1)
-    axes.set_ylabel(unit_of(name) or "robustness", fontsize=9)
+    axes.set_ylabel(story.unsafe.unit or "robustness", fontsize=9)
+    write_formula(axes, story.unsafe)
     lines = wrap(margin_name(name), _PANEL_NAME_LETTERS)
     if story.unsafe.title == "front-gap":
         lines.append(f"(gap − {REQUIRED_GAP_M:g} m)")

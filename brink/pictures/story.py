@@ -22,6 +22,7 @@ from brink.pictures.scene import (
 )
 from brink.sim.aeb.specification import describe_perturbations, describe_street
 from brink.sim.catalogue import REQUIREMENTS, is_own_plugin, make_requirement, requirement_ids
+from brink.sim.episode import Json
 from brink.sim.errors import InvalidEpisode
 from brink.sim.requirements import REQUIRED_GAP_M, CollisionKind, NoDangerousStop
 from brink.sim.trace import ACTION, VIOLATED_AT_S, WORDS, Event, Trace
@@ -91,6 +92,8 @@ class Story:
         violated: Whether it is violated.
         decisive: Sample of the first violation, or of the lowest robustness.
         least: Lowest robustness of the episode, +inf if the requirement never applied.
+        unit: Unit of the robustness; empty if it is unknown.
+        formula: The requirement, if it is a formula; otherwise empty.
         moments: At most six, in order of time; the decisive one is among them.
         violations: First violations of all recorded requirements: of the one that the story is about, then by time.
         words: What happened, such as ``front gap held; hit a pedestrian at 12.8 s``.
@@ -103,6 +106,8 @@ class Story:
     violated: bool
     decisive: int
     least: float
+    unit: str
+    formula: str
     moments: tuple[Moment, ...]
     violations: tuple[ViolatedHere, ...]
     words: str
@@ -147,6 +152,8 @@ def story_of(trace: Trace, requirement: Judged = None) -> Story:
         violated=bool(below.size),
         decisive=decisive,
         least=float(series.min()),
+        unit=unit_of(trace, chosen),
+        formula=str(_stated(trace, chosen).get("stl", "")),
         moments=_moments(trace, decisive, violations[0] if below.size else None, others),
         violations=violations,
         words="; ".join(words),
@@ -420,7 +427,7 @@ def report_word(trace: Trace) -> str:
     return "seen" if oracle else "detected"
 
 
-def measured_words(requirement: str, robustness: float) -> tuple[str, str]:
+def measured_words(requirement: str, robustness: float, unit: str) -> tuple[str, str]:
     """Describe the measurement of a requirement, and its limit.
 
     Of the front gap that is the gap itself, of any other requirement its margin: its distance from being violated.
@@ -428,11 +435,12 @@ def measured_words(requirement: str, robustness: float) -> tuple[str, str]:
     Args:
         requirement: Its id, with or without version.
         robustness: Its robustness, finite.
+        unit: Unit of the robustness.
     """
     if no_needless_braking(requirement, robustness):
         return "no needless braking", "at this moment"
     if plain_name(requirement) != "front-gap":
-        return with_unit(robustness, requirement), "violated" if robustness < 0 else "to spare"
+        return with_unit(robustness, unit), "violated" if robustness < 0 else "to spare"
     if robustness > _NO_VEHICLE_M:
         return "no vehicle ahead", ""
     if robustness == STANDING_MARGIN_M:
@@ -456,13 +464,15 @@ def margin_name(requirement: str) -> str:
     return f"{plain_name(requirement).replace('-', ' ')} margin"
 
 
-def unit_of(requirement: str) -> str:
-    """Return the unit of a requirement's robustness; empty if it is unknown.
+def unit_of(trace: Trace, requirement: str) -> str:
+    """Return the unit of the robustness of one of a trace's requirements; empty if it is unknown."""
+    return str(_stated(trace, requirement).get("unit", _units().get(plain_name(requirement), "")))
 
-    Args:
-        requirement: Its id, with or without version.
-    """
-    return _units().get(plain_name(requirement), "")
+
+def _stated(trace: Trace, requirement: str) -> Mapping[str, Json]:
+    """Return what a campaign states about a requirement of its own: formula and unit."""
+    stated = spec_part(trace, "formulas").get(requirement)
+    return stated if isinstance(stated, Mapping) else {}
 
 
 @cache
@@ -472,8 +482,7 @@ def _units() -> Mapping[str, str]:
     return {plain_name(name): make_requirement(name).unit for name in own}
 
 
-def with_unit(value: float, requirement: str) -> str:
+def with_unit(value: float, unit: str) -> str:
     """Return a robustness with sign and unit, such as ``−0.8 m``; with two decimal places if it is close to zero."""
-    unit = unit_of(requirement)
     decimals = 1 if abs(value) >= 0.1 else 2
     return f"{value:+.{decimals}f}{f' {unit}' if unit else ''}".replace("-", "−")

@@ -21,7 +21,6 @@ from brink.pictures.story import (
     reported,
     runs,
     story_of,
-    unit_of,
 )
 from brink.pictures.style import (
     EGO,
@@ -134,8 +133,9 @@ def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
     axes.plot(time_s, shown, color=hexadecimal(INK), linewidth=1.8)
     axes.fill_between(time_s, np.minimum(shown, 0), 0, color=hexadecimal(VIOLATION), alpha=0.55, linewidth=0)
     axes.set_ylim(least - 0.22 * (most - least), most * 1.08)
-    axes.set_ylabel(unit_of(story.requirement) or "robustness")
+    axes.set_ylabel(story.unit or "robustness")
     style_axes(axes)
+    write_formula(axes, story)
     axes.text(
         1.008,
         0.97,
@@ -270,6 +270,20 @@ def _label_ends(axes: Axes, ends: list[tuple[float, str, Rgb]]) -> None:
             fontsize=9,
             color=hexadecimal(colour),
         )
+
+
+def write_formula(axes: Axes, story: Story) -> None:
+    """Write the formula of the requirement, if it is one, into the plot of its robustness."""
+    axes.text(
+        0.006,
+        0.03,
+        story.formula,
+        transform=axes.transAxes,
+        fontsize=7.5,
+        color=hexadecimal(MUTED),
+        parse_math=False,
+        wrap=True,
+    )
 
 
 def style_axes(axes: Axes) -> None:

@@ -116,7 +116,8 @@ def _compose(facts: Facts, kinds: Mapping[str, KindPictures], pictures: Mapping[
         found=[purpose(facts), *verdicts(facts), *findings(facts)],
         uncertain=uncertainties(facts),
         requirements=[
-            Term(term=name, words=requirement_words(name)) for name in facts.fetched.outcomes.requirements
+            Term(term=name, words=requirement_words(name, facts.fetched.plan.problem))
+            for name in facts.fetched.outcomes.requirements
         ],
         others_recorded=others_recorded(facts),
         figures=figures(facts),

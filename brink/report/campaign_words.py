@@ -19,6 +19,7 @@ from brink.server.campaigns.follow_ups.question import question_of
 from brink.server.findings.finding import Role, Term
 from brink.server.findings.table import share_text
 from brink.server.findings.words import counted, full_sentence
+from brink.server.problems.base import Problem, SimulatedProblem
 from brink.server.problems.catalogue import ODD, is_baseline
 from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus, OutcomeKind, Selection
@@ -257,8 +258,11 @@ def _cache(facts: Facts) -> str:
     )
 
 
-def requirement_words(requirement: str) -> str:
-    """Return the text of a requirement from its plug-in; empty if it has none."""
+def requirement_words(requirement: str, problem: Problem) -> str:
+    """Return a requirement's formula, or the text of its plug-in; empty if it has none."""
+    stated = problem.formulas.get(requirement) if isinstance(problem, SimulatedProblem) else None
+    if isinstance(stated, dict):
+        return f"{stated['stl']} (robustness in {stated['unit']})"
     try:
         plugin = load_plugin(REQUIREMENTS, requirement)
     except (KeyError, SimulatorError):

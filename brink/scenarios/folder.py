@@ -98,7 +98,7 @@ def verdicts_document(trace: Trace, origin: Origin) -> JsonObject:
     moments = trace.about.get(VIOLATED_AT_S)
     violated_at: Mapping[str, Json] = moments if isinstance(moments, dict) else {}
     requirements: JsonObject = {}
-    for name, requirement in make_requirements(spec.requirements).items():
+    for name, requirement in make_requirements(spec.requirements, spec.formulas).items():
         series = trace.robustness.get(name)
         least = float(series.min()) if series is not None and len(series) else math.inf
         requirements[name] = {

@@ -400,7 +400,7 @@ def episode_view(trace: Trace, judged: Sequence[str]) -> EpisodeView:
         target_speed_mps=_column(trace.target_speed_mps, 2),
         lights=[str(light) for light in trace.lights],
         robustness={str(name): _metres(series) for name, series in trace.robustness.items()},
-        units={str(name): unit_of(str(name)) for name in trace.robustness},
+        units={str(name): unit_of(trace, str(name)) for name in trace.robustness},
         events=[
             EventView.model_construct(
                 time_s=_length(event.time_s),

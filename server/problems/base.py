@@ -22,7 +22,7 @@ from brink.search.parameters import Value
 from brink.search.space import SearchSpace
 from brink.search.traffic.participants import RoadLimits
 from brink.sim.catalogue import plugin_ids
-from brink.sim.episode import EpisodeSpec, nearest
+from brink.sim.episode import EpisodeSpec, Json, nearest
 from brink.sim.perception.user_files import KINDS, DetectorError, check_loads
 from brink.worker.wire import Completed
 
@@ -242,12 +242,14 @@ class SimulatedProblem(BaseProblem):
         timeout_s: Wall-clock limit of an episode.
         recorded: Requirements that every episode evaluates besides those that give the verdict.
         is_true: Whether ground truth takes the place of the component.
+        formulas: Those of `requirements` that the campaign states, by name; see `brink.sim.formula_requirement`.
     """
 
     needs: str
     timeout_s: float
     recorded: ClassVar[tuple[str, ...]] = ()
     is_true: bool = False
+    formulas: Mapping[str, Json] = MappingProxyType({})
 
     @abstractmethod
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:

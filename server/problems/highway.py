@@ -25,7 +25,13 @@ from brink.server.problems.error_slots import (
     prefixes,
     slots_component,
 )
-from brink.server.problems.requirements import check_requirements, chosen_requirements, requirement_setting
+from brink.server.problems.requirements import (
+    Stated,
+    check_requirements,
+    chosen_requirements,
+    formulas_in,
+    requirement_setting,
+)
 from brink.server.problems.resolutions import (
     RESOLUTION_M,
     RESOLUTION_S,
@@ -58,6 +64,15 @@ from brink.sim.perception_errors import MODE
 
 REQUIREMENTS: Final = ("no-collision@1", "front-gap@1")
 """Requirements that every episode records."""
+NOT_RECORDED: Final = (
+    "pedestrian_gap_m",
+    "stop_line_gap_m",
+    "light_red",
+    "light_amber",
+    "in_conflict_area",
+    "brakes_for_nothing",
+)
+"""Signals of formulas that highway-env does not have."""
 ROADS: Final = tuple(road.value for road in RoadKind)
 _ONSET_SHARE: Final = 0.75
 """Latest onset, as a share of the episode's length."""
@@ -71,7 +86,7 @@ class HighwayPerceptionParams:
         default_factory=lambda: list(ROADS),
         metadata={"help": "Roads of the scenarios: highway, merge, roundabout, intersection."},
     )
-    requirement: str | list[str] = requirement_setting(REQUIREMENTS, REQUIREMENTS)  # noqa: RUF009
+    requirement: Stated = requirement_setting(REQUIREMENTS, REQUIREMENTS)  # noqa: RUF009
     errors: int = setting(2, ge=1, le=MAX_ERRORS, help="Maximum number of errors in an episode.")
     duration_s: float = setting(20.0, ge=5.0, le=MAX_DURATION_S, unit="s", help="Length of an episode.")
     timeout_s: float = setting(60.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")
@@ -79,7 +94,12 @@ class HighwayPerceptionParams:
     def __post_init__(self) -> None:
         check_settings(self)
         _check_choices("roads", self.roads, ROADS)
-        check_requirements(self.requirement, plugin_ids(REQUIREMENT_PLUGINS))
+        check_requirements(
+            self.requirement,
+            plugin_ids(REQUIREMENT_PLUGINS),
+            duration_s=self.duration_s,
+            not_recorded=NOT_RECORDED,
+        )
 
     @property
     def requirements(self) -> tuple[str, ...]:
@@ -182,6 +202,7 @@ class HighwayPerception(PerceptionErrors[PerceptionError]):
         )
         self.algorithm_defaults = self.study_of_severity({"duration_s": params.duration_s})
         self.requirements = params.requirements
+        self.formulas = formulas_in(params.requirement)
         self.needs = SIMULATOR_ID
         self.timeout_s = params.timeout_s
 
@@ -194,6 +215,7 @@ class HighwayPerception(PerceptionErrors[PerceptionError]):
             scenario=dict(decoded[SCENARIO]),
             behaviour={"mode": MODE, "errors": errors},
             requirements=self.evaluated,
+            formulas=self.formulas,
             seed=seed,
             duration_s=self.params.duration_s,
         )

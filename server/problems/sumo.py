@@ -27,8 +27,10 @@ from brink.server.problems.error_slots import (
 )
 from brink.server.problems.requirements import (
     ANY,
+    Stated,
     check_requirements,
     chosen_requirements,
+    formulas_in,
     requirement_setting,
 )
 from brink.server.problems.resolutions import (
@@ -65,6 +67,14 @@ RECORDED: Final = ("front-gap@1", "no-collision@1", "red-light@1")
 """Requirements that every episode evaluates."""
 NOT_MEASURED: Final = ("lane-keeping@1", "progress@1", "no-dangerous-stop@1")
 """Requirements without meaning here: SUMO keeps vehicles in lanes, and knows neither goals nor reasons to stop."""
+NOT_RECORDED: Final = (
+    "pedestrian_gap_m",
+    "heading_error_rad",
+    "in_conflict_area",
+    "goal_reached",
+    "brakes_for_nothing",
+)
+"""Signals of formulas that SUMO does not measure."""
 LATEST_ONSET_S: Final = 40.0
 LATEST_INCIDENT_S: Final = 40.0
 COVERED: Final = (ErrorType.MISS, ErrorType.TOO_FAR)
@@ -77,7 +87,7 @@ _INCIDENT: Final = ("incident", "incident_s", "incident_mps2")
 class SumoDriversParams:
     """Parameters of the problem."""
 
-    requirement: str | list[str] = requirement_setting(["front-gap@1", "no-collision@1"], RECORDED)  # noqa: RUF009
+    requirement: Stated = requirement_setting(["front-gap@1", "no-collision@1"], RECORDED)  # noqa: RUF009
     network: str = setting(
         ANY, help="Road network; with any, it is part of the scenario.", choices=(ANY, *_NETWORKS)
     )
@@ -102,7 +112,7 @@ class SumoDriversParams:
         if self.network_file and self.network != ANY:
             raise ConfigError("network", f"expected {ANY} or no value, because network_file is given")
         known = [name for name in plugin_ids(REQUIREMENT_PLUGINS) if name not in NOT_MEASURED]
-        check_requirements(self.requirement, known)
+        check_requirements(self.requirement, known, duration_s=self.duration_s, not_recorded=NOT_RECORDED)
 
     @property
     def requirements(self) -> tuple[str, ...]:
@@ -199,6 +209,7 @@ class SumoDrivers(PerceptionErrors[PerceptionError]):
             "covers": {self.first("type"): [kind.value for kind in COVERED]},
         }
         self.requirements = params.requirements
+        self.formulas = formulas_in(params.requirement)
         self.needs = SIMULATOR_ID
         self.timeout_s = params.timeout_s
 
@@ -236,6 +247,7 @@ class SumoDrivers(PerceptionErrors[PerceptionError]):
             scenario=self._traffic(decoded[SCENARIO], self._files).to_json(),
             behaviour={"mode": MODE, "error": errors[0].to_json() if errors else None},
             requirements=self.evaluated,
+            formulas=self.formulas,
             seed=seed,
             duration_s=self.params.duration_s,
             options={"headway_s": self.params.headway_s},

@@ -12,7 +12,7 @@ from brink.search.settings import setting
 from brink.search.space import SearchSpace
 from brink.server.problems.base import SimulatedProblem, Vectors, wrong_detector
 from brink.server.problems.driving_systems import Driven, about_driving
-from brink.server.problems.requirements import requirement_setting
+from brink.server.problems.requirements import Stated, formulas_in, requirement_setting
 from brink.server.problems.urban_injected import (
     REQUIREMENTS,
     URBAN_MEASURES,
@@ -32,7 +32,7 @@ WITH_TRUTH = "brink-drive-errors@2"
 class UrbanCameraParams(UrbanParams):
     """Parameters of the problem."""
 
-    requirement: str | list[str] = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009
+    requirement: Stated = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009
     detector: str = setting(
         DEFAULT_DETECTOR, help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
     )
@@ -59,6 +59,7 @@ class UrbanScenarios(Driven, SimulatedProblem):
         self.params = params
         self.space = SearchSpace((scenario_component(),))
         self.requirements = params.requirements
+        self.formulas = formulas_in(params.requirement)
         self.needs = self.simulator
         self.timeout_s = params.timeout_s
         self.about_component = (type(self).about_component + about_driving(params.driving)).strip()
@@ -74,6 +75,7 @@ class UrbanScenarios(Driven, SimulatedProblem):
             scenario=scenario_of(self.space.decode(tuple(vectors))["scenario"]),
             behaviour={"mode": "errors", "errors": []} if self.is_true else self.behaviour(seed),
             requirements=self.evaluated,
+            formulas=self.formulas,
             seed=seed,
             duration_s=self.params.duration_s,
             options=self.params.options,

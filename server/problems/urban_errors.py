@@ -22,7 +22,7 @@ from brink.server.problems.error_slots import (
     prefixes,
     slots_component,
 )
-from brink.server.problems.requirements import requirement_setting
+from brink.server.problems.requirements import Stated, formulas_in, requirement_setting
 from brink.server.problems.resolutions import RESOLUTION_S, severity_resolution
 from brink.server.problems.urban_changes import scenario_changes
 from brink.server.problems.urban_injected import (
@@ -66,7 +66,7 @@ COVERED: Final = (
 class UrbanErrorsParams(UrbanParams):
     """Parameters of the problem."""
 
-    requirement: str | list[str] = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009
+    requirement: Stated = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009
     errors: int = setting(2, ge=1, le=MAX_ERRORS, help="Maximum number of errors in an episode.")
 
 
@@ -141,6 +141,7 @@ class UrbanErrors(Driven, PerceptionErrors[DetectionError]):
             "needs": {pedestrian: {"scenario.pedestrians": ["18"]}},
         }
         self.requirements = params.requirements
+        self.formulas = formulas_in(params.requirement)
         self.needs = SIMULATOR
         self.timeout_s = params.timeout_s
         self.about_component = (type(self).about_component + about_driving(params.driving)).strip()
@@ -154,6 +155,7 @@ class UrbanErrors(Driven, PerceptionErrors[DetectionError]):
             scenario=scenario_of(decoded[SCENARIO]),
             behaviour={"mode": MODE, "errors": errors},
             requirements=self.evaluated,
+            formulas=self.formulas,
             seed=seed,
             duration_s=self.params.duration_s,
             options=self.params.options,

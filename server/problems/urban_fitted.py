@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 from brink.search.errors import ConfigError
 from brink.search.streams import Stream, generator
-from brink.server.problems.requirements import requirement_setting
+from brink.server.problems.requirements import Stated, requirement_setting
 from brink.server.problems.urban_camera import UrbanScenarios
 from brink.server.problems.urban_injected import REQUIREMENTS, UrbanParams
 from brink.sim.episode import Json
@@ -25,7 +25,7 @@ SIMULATOR = "brink-drive-fitted@2"
 class UrbanFittedParams(UrbanParams):
     """Parameters of the problem."""
 
-    requirement: str | list[str] = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009
+    requirement: Stated = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009
     errors: dict[str, Any] = field(
         default_factory=dict,
         metadata={"help": "The output of brink errors fit; without it, the detector makes no errors."},

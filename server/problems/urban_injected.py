@@ -39,7 +39,13 @@ from brink.server.problems.driving_systems import (
     driving_settings_setting,
 )
 from brink.server.problems.error_slots import SCENARIO, SlottedBehaviour, interchangeable, prefixes
-from brink.server.problems.requirements import check_requirements, chosen_requirements, requirement_setting
+from brink.server.problems.requirements import (
+    Stated,
+    check_requirements,
+    chosen_requirements,
+    formulas_in,
+    requirement_setting,
+)
 from brink.server.problems.resolutions import RESOLUTION_PX
 from brink.server.problems.urban_changes import words_of_changes
 from brink.sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
@@ -84,7 +90,7 @@ URBAN_MEASURES: Final = (
 class UrbanParams:
     """Parameters of all problems of urban driving."""
 
-    requirement: str | list[str] = requirement_setting("front-gap@1", REQUIREMENTS)  # noqa: RUF009  (returns a field)
+    requirement: Stated = requirement_setting("front-gap@1", REQUIREMENTS)  # noqa: RUF009  (returns a field)
     duration_s: float = setting(
         b.DEFAULT_DURATION_S, ge=5.0, le=120.0, unit="s", help="Length of an episode."
     )
@@ -99,7 +105,7 @@ class UrbanParams:
     def __post_init__(self) -> None:
         check_settings(self)
         check_driving_settings(self.driving_settings, self.driving)
-        check_requirements(self.requirement, plugin_ids(REQUIREMENT_PLUGINS))
+        check_requirements(self.requirement, plugin_ids(REQUIREMENT_PLUGINS), duration_s=self.duration_s)
 
     @property
     def options(self) -> dict[str, Json]:
@@ -228,6 +234,7 @@ class UrbanInjected(Driven, SlottedBehaviour):
             (scenario_component(), behaviour_component(params.duration_s, params.trajectories))
         )
         self.requirements = params.requirements
+        self.formulas = formulas_in(params.requirement)
         self.needs = SIMULATOR
         self._trajectories = _trajectories(self.space)
         self.timeout_s = params.timeout_s
@@ -241,6 +248,7 @@ class UrbanInjected(Driven, SlottedBehaviour):
             scenario=scenario_of(decoded[SCENARIO]),
             behaviour=self._behaviour(decoded[BEHAVIOUR]),
             requirements=self.evaluated,
+            formulas=self.formulas,
             seed=seed,
             duration_s=self.params.duration_s,
             options=self.params.options,

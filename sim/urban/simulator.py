@@ -19,6 +19,7 @@ from brink.sim.driving.interface import Driving
 from brink.sim.driving_systems.option import DrivingOption
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import SimulationCrashed
+from brink.sim.formula_requirement import with_margins
 from brink.sim.guard.guarded import Guarded
 from brink.sim.guard.option import GuardOption, option_of
 from brink.sim.provenance import provenance, trace_header
@@ -76,7 +77,7 @@ class BrinkDrive:
         scenario = UrbanScenario.from_json(spec.scenario)
         guard = option_of(spec.options)
         detector = self._detector(spec)
-        requirements = make_requirements(spec.requirements)
+        requirements = make_requirements(spec.requirements, spec.formulas)
         try:
             return self._run(spec, scenario, detector, requirements, options, guard=guard, record=record)
         except EngineError as error:
@@ -117,6 +118,10 @@ class BrinkDrive:
         )
         verdicts = verdicts_of(requirements)
         versions = bullet_versions()
+        trace = None
+        if recorder is not None:
+            trace = recorder.trace(trace_header(spec, verdicts, versions), guarded)
+            trace = with_margins(trace, requirements)
         return EpisodeResult(
             verdicts=verdicts,
             objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
@@ -133,9 +138,7 @@ class BrinkDrive:
                 simulated_s=outcome.last.time_s,
                 **DrivingOption.of(spec.options).provenance(),
             ),
-            trace=None
-            if recorder is None
-            else recorder.trace(trace_header(spec, verdicts, versions), guarded).to_bytes(),
+            trace=None if trace is None else trace.to_bytes(),
         )
 
 

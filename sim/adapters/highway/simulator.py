@@ -29,6 +29,7 @@ from brink.sim.driving.camera import Camera, Solid
 from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.episode import EpisodeResult, EpisodeSpec
 from brink.sim.errors import ExtraMissing, InvalidEpisode
+from brink.sim.formula_requirement import with_margins
 from brink.sim.provenance import provenance, trace_header, versions_with
 from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.trace import WORDS
@@ -65,7 +66,7 @@ class HighwayEnvSimulator:
             raise InvalidEpisode(f"options: expected none, got {next(iter(spec.options))!r}")
         scenario = HighwayScenario.from_json(spec.scenario)
         errors = errors_from_json(spec.behaviour, spec.duration_s)
-        requirements = make_requirements(spec.requirements)
+        requirements = make_requirements(spec.requirements, spec.formulas)
         episode = _Episode(spec, scenario, errors, requirements, record=record)
         episode.run()
         return episode.result(cpu_s)
@@ -167,7 +168,7 @@ class _Episode:
         if self._recorder is not None:
             self._record_errors()
             header = {**trace_header(spec, verdicts, versions), WORDS: self._words}
-            trace = self._recorder.trace(header).to_bytes()
+            trace = with_margins(self._recorder.trace(header), self._requirements).to_bytes()
         return EpisodeResult(
             verdicts=verdicts,
             objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},

@@ -18,6 +18,7 @@ from brink.sim.adapters.sumo.specification import HARDEST_BRAKING_MPS2, SIMULATO
 from brink.sim.catalogue import make_requirements
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.formula_requirement import with_margins
 from brink.sim.provenance import provenance, trace_header, versions_with
 from brink.sim.requirements import Requirement, WorldSample, features_of, verdicts_of
 from brink.sim.trace import WORDS
@@ -69,7 +70,7 @@ class Sumo:
         """
         cpu_s = time.process_time()
         drive = Drive.of(spec)
-        requirements = make_requirements(spec.requirements)
+        requirements = make_requirements(spec.requirements, spec.formulas)
         with TemporaryDirectory(prefix="brink-sumo-") as folder:
             options = [*_files(drive, spec, Path(folder)), *_conditions(drive, spec)]
             try:
@@ -85,7 +86,7 @@ class Sumo:
         trace = None
         if episode.drawing is not None:
             header = {**trace_header(spec, verdicts, versions), WORDS: drive.words}
-            trace = episode.drawing.trace(header).to_bytes()
+            trace = with_margins(episode.drawing.trace(header), requirements).to_bytes()
         return EpisodeResult(
             verdicts=verdicts,
             objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},

@@ -94,7 +94,8 @@ def test_a_reported_person_is_not_there_where_a_parked_car_is() -> None:
 def test_the_front_gap_is_a_distance_and_everything_else_a_margin(
     requirement: str, robustness: float, expected: tuple[str, str]
 ) -> None:
-    assert measured_words(requirement, robustness) == expected
+    unit = "m/s" if requirement.startswith("no-dangerous-stop") else "m"
+    assert measured_words(requirement, robustness, unit) == expected
 
 
 @pytest.mark.parametrize(("after_s", "shown"), [(0.0, 0), (0.02, 0), (0.08, 1)])
@@ -307,7 +308,7 @@ def test_a_standing_ego_has_no_front_gap_that_is_too_short() -> None:
     assert gap is not None
     assert gap.gap_m < REQUIRED_GAP_M
     assert not gap.too_short
-    assert measured_words("front-gap@2", 0.0) == ("the ego stands", "")
+    assert measured_words("front-gap@2", 0.0, "m") == ("the ego stands", "")
 
 
 @pytest.mark.parametrize("name", ["progress", "progress@1"])

@@ -7,6 +7,9 @@ from pathlib import Path
 import pytest
 
 from brink.server.problems.catalogue import make_problem
+from brink.server.problems.highway import NOT_RECORDED as HIGHWAY_LACKS
+from brink.server.problems.sumo import NOT_RECORDED as SUMO_LACKS
+from brink.sim.formula_requirement import SIGNALS
 
 ROOT = Path(__file__).resolve().parents[3]
 GROUP = "brink.requirements"
@@ -73,3 +76,15 @@ def test_the_requirement_with_another_threshold_is_the_one_that_is_tested() -> N
 
 def _text(file: Path) -> str:
     return file.read_text(encoding="utf-8")
+
+
+def test_the_page_on_formulas_lists_every_signal_and_those_that_simulators_lack() -> None:
+    page = (ROOT / "docs" / "reference" / "formulas.md").read_text(encoding="utf-8")
+    table, lacking = page.partition("\n## Signals\n")[2].split("\nDistances count")
+    rows = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
+    assert re.findall(r"`(\w+)`", "".join(rows)) == sorted(SIGNALS, key=table.index)
+    sumo, highway = lacking.split("highway-env")
+    assert (re.findall(r"`(\w+)`", sumo), re.findall(r"`(\w+)`", highway)) == (
+        list(SUMO_LACKS),
+        list(HIGHWAY_LACKS),
+    )

@@ -1,8 +1,9 @@
 """The problems: from candidates to episodes, and from outcomes to evaluations."""
 
 import json
+import re
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from brink.server.campaigns.plan import check_submission
 from brink.server.errors import InvalidInput
 from brink.server.findings.kind import reported_by
 from brink.server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
-from brink.server.problems.base import NoParams
+from brink.server.problems.base import NoParams, SimulatedProblem
 from brink.server.problems.catalogue import (
     PROBLEMS,
     describe_algorithms,
@@ -394,3 +395,52 @@ def test_the_resolution_of_a_severity_is_that_of_its_magnitude() -> None:
         scale = abs(magnitude.most - magnitude.none)
         expected = {"s": 0.1, "m": 0.25, "share": 0.01}[magnitude.unit]
         assert space.resolutions(row)[0][column] * scale == pytest.approx(expected)
+
+
+KEEP_GAP: Final[dict[str, Any]] = {"keep-gap": {"stl": "always (front_gap_m > 2)", "unit": "m"}}
+
+
+@pytest.mark.parametrize(
+    "problem_id", ["urban-injected@1", "urban-errors@1", "urban-camera@1", "sumo-drivers@1"]
+)
+def test_a_formula_gives_the_verdict_alone_or_beside_other_requirements(problem_id: str) -> None:
+    for stated, expected in (
+        (KEEP_GAP, ("keep-gap",)),
+        (["no-collision@1", KEEP_GAP], ("no-collision@1", "keep-gap")),
+    ):
+        problem = make_problem(problem_id, {"requirement": stated})
+        assert isinstance(problem, SimulatedProblem)
+        vectors = problem.space.sample(np.random.default_rng(1))
+        spec = problem.episode(vectors, 1)
+        assert problem.requirements == expected
+        assert set(expected) <= set(spec.requirements)
+        assert spec.formulas == KEEP_GAP
+
+
+@pytest.mark.parametrize(
+    ("problem_id", "stated", "message"),
+    [
+        (
+            "urban-injected@1",
+            {"keep-gap": {"stl": "always gap > 1", "unit": "m"}},
+            "no signal 'gap' is recorded",
+        ),
+        ("urban-injected@1", {"keep-gap": {"stl": "always[0:2", "unit": "m"}}, "character 11: expected ']'"),
+        (
+            "urban-injected@1",
+            {"keep-gap": {"stl": "always[40:50] collision", "unit": "1"}},
+            "looks 40 s ahead",
+        ),
+        ("urban-injected@1", {"front-gap": KEEP_GAP["keep-gap"]}, "expected a name of your own"),
+        ("urban-injected@1", [KEEP_GAP, KEEP_GAP], "expected each requirement once"),
+        ("urban-injected@1", {}, "expected at least one requirement"),
+        (
+            "sumo-drivers@1",
+            {"own": {"stl": "pedestrian_gap_m > 1", "unit": "m"}},
+            "no signal 'pedestrian_gap_m'",
+        ),
+    ],
+)
+def test_a_wrong_formula_is_refused_at_submission(problem_id: str, stated: Any, message: str) -> None:
+    with pytest.raises(InvalidInput, match="requirement.*" + re.escape(message)):
+        make_problem(problem_id, {"requirement": stated})

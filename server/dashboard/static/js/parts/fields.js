@@ -94,7 +94,7 @@ function valueOf(input, schema) {
   if (written === "") return undefined;
   if (schema.type === "boolean") return written === "true";
   if (schema.type === "integer" || schema.type === "number") return input.validity.badInput ? written : Number(written);
-  if (schema.type === "array" || schema.type === "object" || (schema.options && written.startsWith("["))) {
+  if (schema.type === "array" || schema.type === "object" || (schema.options && /^[[{]/.test(written))) {
     try {
       return JSON.parse(written);
     } catch {
@@ -104,10 +104,15 @@ function valueOf(input, schema) {
   return written;
 }
 
+/** Return the names of requirements: ids without versions, and those of formulas. */
+function namesIn(value) {
+  return [value].flat().flatMap((one) => (typeof one === "object" ? Object.keys(one) : plainId(one)));
+}
+
 function fill(input, value) {
   const written = value === undefined || value === null ? "" : typeof value === "object" ? JSON.stringify(value) : String(value);
   if (input.localName === "select" && written && ![...input.options].some((one) => one.value === written)) {
-    input.append(h("option", { value: written }, Array.isArray(value) ? value.map(plainId).join(" and ") : written)); // the server validates it
+    input.append(h("option", { value: written }, typeof value === "object" ? namesIn(value).join(" and ") : written)); // the server validates it
   }
   input.value = written;
 }

@@ -44,6 +44,7 @@ export function verdicts(solution, judged, goTo) {
         h("th", { scope: "row" }, spaced(plainId(name)), solution.requirements.includes(name) && h("span.small.muted", null, ", decisive")),
         h("td", null, badge(violated ? (solution.requirements.includes(name) ? "unsafe" : "other") : "safe", violated ? "violated" : "holds"),
           at !== null && [" ", h("button.quiet.figure", { type: "button", onclick: () => goTo(at) }, `at ${seconds(at)}`)],
+          h("div.small.muted", null, solution.spec?.formulas?.[name]?.stl),
           h("div.small.muted", null, solution.violated.find((one) => one.requirement === name)?.avoidable_words)),
         h("td.right", null, withUnit(verdict.robustness, verdict.unit)));
     })))));
