@@ -4,7 +4,7 @@ The scenario is the traffic, the behaviour is one error; without it, automated v
 ours; see docs/how-to/use-other-simulators.md.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Final
@@ -39,7 +39,7 @@ from brink.server.problems.resolutions import (
     RESOLUTION_SHARE,
     severity_resolution,
 )
-from brink.sim.adapters.sumo.own_files import OwnFiles, OwnFilesError, check_network, vehicle_ids
+from brink.sim.adapters.sumo.own_files import OwnFiles, OwnFilesError, check_edges, edge_ids, vehicle_ids
 from brink.sim.adapters.sumo.specification import (
     INCIDENT_BRAKING_MPS2,
     LATEST_SIGNALS_S,
@@ -218,18 +218,10 @@ class SumoDrivers(PerceptionErrors[PerceptionError]):
         params = self.params
         if not params.network_file:
             return []
-        wrong = []
-        for name, check in (("network_file", check_network), ("demand_file", vehicle_ids)):
-            try:
-                check(getattr(params, name))
-            except OwnFilesError as error:
-                wrong.append((name, str(error)))
-        if not wrong:
-            try:
-                OwnFiles.read(params.network_file, params.demand_file, params.ego)
-            except OwnFilesError as error:
-                wrong.append(("ego", str(error)))
-        return wrong
+        network, demand = params.network_file, params.demand_file
+        wrong = [*_refusal("network_file", edge_ids, network), *_refusal("demand_file", vehicle_ids, demand)]
+        wrong = wrong or _refusal("demand_file", check_edges, demand, network)
+        return wrong or _refusal("ego", OwnFiles.read, network, demand, params.ego)
 
     @cached_property
     def _files(self) -> OwnFiles | None:
@@ -315,6 +307,15 @@ class SumoDrivers(PerceptionErrors[PerceptionError]):
             happens = traffic.incident is not Incident.NONE
             parts.leave_out(SCENARIO, _INCIDENT if happens else _INCIDENT[1:])
             parts.silence(SCENARIO, _INCIDENT[0], Incident.NONE.value, _INCIDENT[1:])
+
+
+def _refusal(name: str, check: Callable[..., object], *arguments: str) -> list[tuple[str, str]]:
+    """Return the parameter and the message if a check of the user's own files fails."""
+    try:
+        check(*arguments)
+    except OwnFilesError as error:
+        return [(name, str(error))]
+    return []
 
 
 _PERCENT: Final = {

@@ -26,6 +26,8 @@ MAX_BYTES: Final = 64 * 1024**2
 _PACKED: Final = b"\x1f\x8b"
 _UNSAFE: Final = (b"<!DOCTYPE", b"<!ENTITY")
 _RATES: Final = ("vehsPerHour", "probability", "perHour")
+_EDGES: Final = ("edges", "from", "to", "via", "edge")
+"""Attributes of a demand that name edges."""
 _READS_MORE: Final = ("input", "additional-files", "include")
 
 
@@ -56,7 +58,7 @@ class OwnFiles:
         Raises:
             OwnFilesError: A file is unusable, or the demand lacks the ego.
         """
-        check_network(network)
+        check_edges(demand, network)
         vehicles = vehicle_ids(demand)
         if ego not in vehicles:
             few = ", ".join(vehicles[:5])
@@ -111,16 +113,17 @@ def digest_of(network: str, demand: str) -> str:
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
 
 
-def check_network(path: str) -> None:
-    """Check that a file is a network in SUMO's format.
+def edge_ids(path: str) -> frozenset[str]:
+    """Return the ids of the edges of a network in SUMO's format.
 
     Raises:
-        OwnFilesError: It is not.
+        OwnFilesError: The file is no such network.
     """
     root = _parse(path, "net", "a network in SUMO's format, as netconvert writes it")
     edges = [edge for edge in root.iterfind("edge") if edge.get("function") != "internal"]
     if not any(True for edge in edges for _ in edge.iterfind("lane")):
         raise OwnFilesError(f"{path}: expected at least one edge with lanes")
+    return frozenset(str(edge.get("id")) for edge in root.iterfind("edge"))
 
 
 def vehicle_ids(path: str) -> tuple[str, ...]:
@@ -142,6 +145,30 @@ def vehicle_ids(path: str) -> tuple[str, ...]:
     if not found:
         raise OwnFilesError(f"{path}: expected at least one vehicle with an id and a time of departure")
     return found
+
+
+def check_edges(path: str, network: str) -> None:
+    """Check that a demand uses edges of its network alone: vehicles, persons, containers, and where they stop.
+
+    Args:
+        path: The demand.
+        network: The network.
+
+    Raises:
+        OwnFilesError: It names another edge, with which SUMO would not start.
+    """
+    known = edge_ids(network)
+    for traveller in _parse(path, "routes", "a demand"):
+        for element in traveller.iter():
+            named = " ".join(element.get(name, "") for name in _EDGES).split()
+            if (lane := element.get("lane")) is not None and element.tag == "stop":
+                named.append(lane.rpartition("_")[0])
+            for edge in named:
+                if edge not in known:
+                    raise OwnFilesError(
+                        f"{path}: expected edges of the network in <{traveller.tag}> {traveller.get('id', '')!r}, "
+                        f"got {edge!r}{nearest(edge, tuple(known))}"
+                    )
 
 
 def _check_order(path: str, root: ElementTree.Element) -> None:

@@ -157,7 +157,7 @@ def write(folder: Path, demand: str = DEMAND, network: bytes | None = None) -> t
     demand_file, network_file = folder / "demand.rou.xml", folder / "network.net.xml"
     demand_file.write_text(demand, encoding="utf-8")
     if network is None:
-        network = gzip.decompress((NETWORKS / "ring.net.xml.gz").read_bytes())
+        network = gzip.decompress((NETWORKS / "motorway.net.xml.gz").read_bytes())
     network_file.write_bytes(network)
     return str(network_file), str(demand_file)
 
@@ -178,6 +178,19 @@ def test_own_files_are_read_packed_or_not_and_known_by_their_content(tmp_path: P
 @pytest.mark.parametrize(
     ("demand", "network", "message"),
     [
+        (
+            DEMAND.replace(
+                "</routes>", '<person id="p" depart="2"><walk edges="before nowhere"/></person></routes>'
+            ),
+            None,
+            "expected edges of the network in <person> 'p', got 'nowhere'",
+        ),
+        (DEMAND.replace("merge", "marge"), None, "<route> 'r', got 'marge' .did you mean 'merge'"),
+        (
+            DEMAND.replace('depart="1"/>', 'depart="1"><stop lane="gone_0" duration="5"/></vehicle>'),
+            None,
+            "<vehicle> 'two', got 'gone'",
+        ),
         ("<routes/>", None, "expected at least one vehicle with an id"),
         ("<additional/>", None, r"\(<routes>\), got <additional>"),
         ("<routes>", None, "it is not XML"),
