@@ -4,6 +4,7 @@ The scenario is made of ranges of the environment's arguments and reset options,
 behaviour is a number of perturbations of single numbers of the observation. Source: ours.
 """
 
+import re
 from collections.abc import Collection, Mapping, Set
 from dataclasses import dataclass, field
 from importlib.util import find_spec
@@ -27,14 +28,17 @@ from brink.server.problems.error_slots import (
     prefixes,
     slots_component,
 )
+from brink.server.problems.requirements import check_formulas
 from brink.sim.adapters.gymnasium_env.specification import (
     EXTRA,
+    EXTRA_SIGNALS,
     MARGIN,
     MAX_PERTURBATIONS,
     MAX_STEPS,
     OWN_MODULES,
     PERTURBED,
     POLICIES,
+    SIGNALS,
     SIMULATOR_ID,
     SURVIVAL,
     WITHOUT_MAGNITUDE,
@@ -47,6 +51,7 @@ from brink.sim.errors import InvalidEpisode
 
 TYPES: Final = tuple(kind.value for kind in PerturbationType)
 CART_POLE: Final = "CartPole-v1"
+SURVIVED_STEPS: Final = 200
 _RESET_SEED: Final = "reset_seed"
 _GREATEST_BOUND: Final = 1e3
 """A larger bound of an observation does not indicate its usual size."""
@@ -74,8 +79,18 @@ class GymnasiumParams:
         "", help="MODULE:FUNCTION that maps an episode to its robustness; empty for the time survived."
     )
     unit: str = setting("1", help="Unit of the margin.")
+    requirement: dict[str, Any] = field(
+        default_factory=dict,
+        metadata={
+            "help": "Requirements of your own as formulas, {NAME: {stl: FORMULA, unit: UNIT}}, instead of the time "
+            "survived; the signals are the numbers of the true observation, reward and terminated."
+        },
+    )
     survive_steps: int = setting(
-        200, ge=1, le=MAX_STEPS, help="Steps before which an episode must not terminate."
+        0,
+        ge=0,
+        le=MAX_STEPS,
+        help=f"Steps before which an episode must not terminate; 0 for {SURVIVED_STEPS}, or all if there are fewer.",
     )
     steps: int = setting(500, ge=1, le=MAX_STEPS, help="Maximum number of steps of an episode.")
     step_s: float = setting(0.02, gt=0.0, le=60.0, unit="s", help="Simulated time of a step.")
@@ -135,6 +150,9 @@ class GymnasiumParams:
                     raise ConfigError(
                         name, f"expected a least and a greater value of {key!r}, got {bounds!r}"
                     )
+        if self.requirement and self.margin:
+            raise ConfigError("requirement", "expected none, because margin is given")
+        check_formulas(self.requirement, self.signals, self.steps * self.step_s)
         count = len(self.observed)
         for name, given in (("names", self.names), ("scales", self.scales)):
             if given and len(given) != count:
@@ -149,6 +167,16 @@ class GymnasiumParams:
             )
         if any(scale <= 0 for scale in self.scales):
             raise ConfigError("scales", f"expected numbers above 0, got {self.scales!r}")
+
+    @property
+    def survived_steps(self) -> int:
+        """Steps before which an episode must not terminate."""
+        return self.survive_steps or min(SURVIVED_STEPS, self.steps)
+
+    @property
+    def signals(self) -> list[str]:
+        """Names in formulas of the numbers of the observation, and of all else that is recorded."""
+        return [*(re.sub(r"\W+", "_", name) for name, _ in self.observed), *EXTRA_SIGNALS]
 
     @property
     def observed(self) -> tuple[tuple[str, float], ...]:
@@ -245,7 +273,8 @@ class GymnasiumProblem(ErrorSlots[Perturbation]):
         self.params = params
         scenario, behaviour = scenario_component(params), behaviour_component(params)
         self.space = SearchSpace((behaviour,) if scenario is None else (scenario, behaviour))
-        self.requirements = (MARGIN if params.margin else SURVIVAL,)
+        self.requirements = tuple(params.requirement) or (MARGIN if params.margin else SURVIVAL,)
+        self.formulas = params.requirement
         self.needs = SIMULATOR_ID
         self.timeout_s = params.timeout_s
         self._observed = params.observed
@@ -279,14 +308,16 @@ class GymnasiumProblem(ErrorSlots[Perturbation]):
             },
             behaviour={"perturbations": perturbations},
             requirements=self.requirements,
+            formulas=self.formulas,
             seed=seed,
             duration_s=params.steps * params.step_s,
             options={
                 "policy": params.policy,
                 "margin": params.margin or None,
                 "unit": params.unit,
-                "survive_steps": params.survive_steps,
+                "survive_steps": params.survived_steps,
                 "step_s": params.step_s,
+                **({SIGNALS: list(params.signals)} if self.formulas else {}),
             },
         )
 

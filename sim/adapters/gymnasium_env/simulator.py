@@ -17,8 +17,9 @@ from importlib.util import find_spec
 from typing import Any, ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from brink.formula import FormulaError
 from brink.sim.adapters.gymnasium_env.policies import Episode
 from brink.sim.adapters.gymnasium_env.specification import (
     EXTRA,
@@ -67,12 +68,13 @@ class GymnasiumSimulator:
         policy, margin = _loaded(wanted)
         with _seeded(spec.seed), _environment(wanted) as environment:
             episode, perturbed = _run(environment, policy, wanted, spec.seed)
-        verdict = _verdict(episode, wanted, margin)
-        name = SURVIVAL if margin is None else MARGIN
+        verdicts = _verdicts_of_formulas(episode, wanted) if wanted.formulas else {}
+        if not verdicts:
+            verdicts = {SURVIVAL if margin is None else MARGIN: _verdict(episode, wanted, margin)}
         steps = len(episode.actions)
         return EpisodeResult(
-            verdicts={name: verdict},
-            objectives={f"{name}:robustness": verdict.robustness},
+            verdicts=verdicts,
+            objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
             features={
                 "steps": steps,
                 "terminated": episode.terminated,
@@ -288,3 +290,25 @@ def _verdict(
     if not episode.terminated and margin is None:
         robustness = max(robustness, 0.0)
     return Verdict(robustness=robustness, unit=unit, violated_at_s=ended_s if robustness < 0 else None)
+
+
+def _verdicts_of_formulas(episode: Episode, wanted: GymnasiumEpisode) -> dict[str, Verdict]:
+    """Return the verdicts of the formulas over the true observations, with a sample at the reset and each step.
+
+    Raises:
+        InvalidEpisode: The observation has another number of values than there are names.
+        SimulationCrashed: A formula has no value.
+    """
+    series = [
+        *episode.states.T,
+        np.concatenate([[0.0], episode.rewards]),
+        np.append(np.zeros(len(episode.actions)), episode.terminated),
+    ]
+    if len(series) != len(wanted.signals):
+        raise InvalidEpisode(f"options.signals: expected {len(series)} names, got {len(wanted.signals)}")
+    signals: dict[str, ArrayLike] = dict(zip(wanted.signals, series, strict=True))
+    times_s = wanted.step_s * np.arange(len(episode.states))
+    try:
+        return {name: formula.verdict(times_s, signals) for name, formula in wanted.formulas.items()}
+    except FormulaError as error:
+        raise SimulationCrashed(str(error)) from error

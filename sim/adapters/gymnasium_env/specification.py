@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Self
 
+from brink.formula import FormulaError
 from brink.sim.episode import EpisodeSpec, Json, JsonObject, check_fields, parse_choice, parse_integer
 from brink.sim.errors import InvalidEpisode
+from brink.sim.formula_requirement import StatedFormula, stated_formulas
 
 SIMULATOR_ID: Final = "gymnasium@1"
 EXTRA: Final = "gymnasium"
@@ -27,6 +29,11 @@ MARGIN: Final = "margin@1"
 """The requirement that a quantity of the user's own, computed from the whole episode, is not negative."""
 PERTURBED: Final = "perturbed_steps"
 """Name of the feature with the first and last step at which each perturbation changed the observation, or null."""
+
+SIGNALS: Final = "signals"
+"""Name of the option with the names of the numbers of the observation in formulas, and `EXTRA_SIGNALS`."""
+EXTRA_SIGNALS: Final = ("reward", "terminated")
+"""Signals of formulas that are no part of the observation."""
 
 _OPTIONS: Final = ("policy", "margin", "unit", "survive_steps", "step_s")
 _SCENARIO: Final = ("environment", "make", "reset", "reset_seed")
@@ -153,6 +160,8 @@ class GymnasiumEpisode:
         survive_steps: Steps that an episode must not terminate before.
         steps: Maximum number of steps.
         step_s: Simulated time of a step.
+        signals: Names of the numbers of the observation in formulas, and `EXTRA_SIGNALS`.
+        formulas: Requirements over these, instead of the time survived or the margin.
     """
 
     environment: str
@@ -166,6 +175,8 @@ class GymnasiumEpisode:
     survive_steps: int
     steps: int
     step_s: float
+    signals: tuple[str, ...]
+    formulas: Mapping[str, StatedFormula]
 
     @classmethod
     def from_spec(cls, spec: EpisodeSpec) -> Self:
@@ -176,7 +187,7 @@ class GymnasiumEpisode:
         """
         scenario, options = spec.scenario, spec.options
         check_fields("scenario", scenario, _SCENARIO)
-        check_fields("options", options, _OPTIONS)
+        check_fields("options", options, (*_OPTIONS, SIGNALS) if spec.formulas else _OPTIONS)
         check_fields("behaviour", spec.behaviour, ("perturbations",))
         margin, unit, step_s = options["margin"], options["unit"], options["step_s"]
         if margin is not None:
@@ -186,9 +197,19 @@ class GymnasiumEpisode:
         steps = round(spec.duration_s / float(step_s))  # type: ignore[arg-type]
         if not 1 <= steps <= MAX_STEPS:
             raise InvalidEpisode(f"duration_s: expected 1 to {MAX_STEPS} steps of {step_s} s, got {steps}")
-        expected = SURVIVAL if margin is None else MARGIN
-        if spec.requirements != (expected,):
-            raise InvalidEpisode(f"requirements: expected {expected} alone, got {list(spec.requirements)!r}")
+        expected = tuple(spec.formulas) or (SURVIVAL if margin is None else MARGIN,)
+        if spec.requirements != expected:
+            raise InvalidEpisode(
+                f"requirements: expected {', '.join(expected)} alone, got {list(spec.requirements)!r}"
+            )
+        signals = options.get(SIGNALS, [])
+        if not isinstance(signals, list) or len(signals) > MAX_DIMENSIONS + len(EXTRA_SIGNALS):
+            raise InvalidEpisode(f"options.signals: expected a list of names, got {signals!r:.80}")
+        names = tuple(_text("options.signals", name) for name in signals)
+        try:
+            formulas = stated_formulas(spec.formulas, names)
+        except FormulaError as error:
+            raise InvalidEpisode(f"formulas: {error}") from error
         seed = scenario["reset_seed"]
         return cls(
             environment=_text("scenario.environment", scenario["environment"]),
@@ -202,6 +223,8 @@ class GymnasiumEpisode:
             survive_steps=parse_integer("options.survive_steps", options["survive_steps"], 1, steps),
             steps=steps,
             step_s=float(step_s),  # type: ignore[arg-type]
+            signals=names,
+            formulas=formulas,
         )
 
 

@@ -31,6 +31,9 @@ ROOT = Path(__file__).resolve().parents[3]
 CART_POLE = GymnasiumProblem(
     GymnasiumParams(perturbations=2, reset={"low": [-0.1, 0.0], "high": [0.0, 0.1]}, reset_seeds=50)
 )
+UPRIGHT: dict[str, Any] = {
+    "upright": {"stl": "always[0:2] (abs(pole_angle) < 0.05 or reward == 0)", "unit": "rad"}
+}
 BIAS: dict[str, Any] = {
     "type": "bias",
     "dimension": "pole angle",
@@ -121,6 +124,12 @@ def test_the_default_problem_can_be_listed_without_gymnasium(monkeypatch: pytest
         ({"environment": "CartPole-v9"}, "environment", "VersionNotFound"),
         ({"environment": "FrozenLake-v1"}, "environment", "expected observations in a Box"),
         ({"survive_steps": 600}, "survive_steps", "expected at most steps (500), got 600"),
+        ({"requirement": UPRIGHT, "margin": "a:b"}, "requirement", "expected none, because margin is given"),
+        (
+            {"requirement": {"upright": {"stl": "pole_angel < 1", "unit": "rad"}}},
+            "requirement",
+            "upright: no signal 'pole_angel' is recorded (did you mean 'pole_angle'?)",
+        ),
         ({"types": ["bias", "drift"]}, "types", "expected some of bias, gain, noise, freeze, dropout"),
         ({"types": []}, "types", "expected some of"),
         ({"names": ["a"]}, "names", "expected 4, one for each number of the observation, got 1"),
@@ -231,3 +240,26 @@ def test_the_policy_in_the_documentation_works(tmp_path: Path, monkeypatch: pyte
     spec = truth.episode(problem.space.sample(np.random.default_rng(1)), 1)
     verdict = make_simulator("gymnasium@1").run(spec).verdicts["margin@1"]
     assert verdict.robustness >= 0
+
+
+def test_short_episodes_need_no_word_about_how_long_they_must_survive() -> None:
+    episodes = [
+        GymnasiumEpisode.from_spec(one.episode(one.space.sample(np.random.default_rng(0)), 1))
+        for one in (GymnasiumProblem(GymnasiumParams(steps=steps)) for steps in (50, 500))
+    ]
+    assert [episode.survive_steps for episode in episodes] == [50, 200]
+
+
+def test_a_formula_over_the_true_observation_gives_the_verdict() -> None:
+    problem = make_problem("gymnasium@1", {"requirement": UPRIGHT, "steps": 150})
+    assert isinstance(problem, GymnasiumProblem)
+    assert problem.requirements == ("upright",)
+    simulator, verdicts = make_simulator("gymnasium@1"), []
+    for bias in (0.5, 0.0):
+        values = {f"perturbation_1.{name}": value for name, value in {**BIAS, "magnitude": bias}.items()}
+        vectors = problem.space.encode({"behaviour": values})
+        verdicts.append(simulator.run(problem.episode(vectors, 3)).verdicts["upright"])
+    pushed, steady = verdicts
+    assert (pushed.violated, steady.violated, pushed.unit) == (True, False, "rad")
+    assert pushed.violated_at_s is not None
+    assert 20 * 0.02 < pushed.violated_at_s <= 2.0
