@@ -11,7 +11,7 @@ from benchmarks.cli.perception import detector, perturbations, rendering, simood
 from benchmarks.cli.searches import finders, mumoea, search
 from benchmarks.cli.service import archive, chaos, dashboard, queue, scale, soak, stalls, turns, utilisation
 from benchmarks.cli.statistics import coverage
-from benchmarks.cli.urban import control, difficulty, drivers, sim
+from benchmarks.cli.urban import control, difficulty, drivers, driving, sim
 from brink.cli.commands import HelpfulGroup
 
 bench = typer.Typer(
@@ -26,6 +26,7 @@ bench = typer.Typer(
 for _command in (
     difficulty,
     drivers,
+    driving,
     control,
     sim,
     errors,

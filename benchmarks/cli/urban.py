@@ -1,4 +1,4 @@
-"""The urban problem, its verdicts, and what an episode costs: `difficulty`, `drivers`, `control`, `sim`."""
+"""The urban problem and what an episode costs: `difficulty`, `drivers`, `driving`, `control`, `sim`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -74,6 +74,22 @@ def drivers(
         rows = measure_drivers(
             candidates=candidates, weathers=weathers, seed=seed, processes=processes, progress=progress
         )
+    conclude_rows(rows, as_json=as_json)
+
+
+def driving(
+    drives: Annotated[int, typer.Option(min=1, help="Drives by each driving system.")] = 40,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Measure what it costs that a driving system is a process of its own, in C++ or Python. Needs cmake.
+
+    Example: python -m benchmarks driving --drives 40
+    """
+    from benchmarks.driving import measure_driving
+
+    with show_progress() as progress:
+        rows = measure_driving(drives=drives, seed=seed, progress=progress)
     conclude_rows(rows, as_json=as_json)
 
 

@@ -1,0 +1,122 @@
+"""The cost of a driving system in a process of its own: control steps a second, beside the same one in process.
+
+The examples in `examples/driving` are pairs: the same driving system in Python and in C++, and another one in Python
+as a class and as a process. Each drive is driven by all of them in turn, so that whatever else the machine does hits
+all.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar, Final
+
+import numpy as np
+
+from benchmarks.measurement import Progress, Row, at_least, counted, untargeted
+from benchmarks.urban import draw_candidate, spec_of
+from brink.sim.catalogue import PLUGINS_VARIABLE, make_simulator, register
+from brink.sim.driving.interface import CONTROL_STEP_S
+from brink.sim.driving_systems import Decision, Observation, Start
+from brink.sim.driving_systems.command import Definition, end_processes, install
+from brink.sim.driving_systems.option import DRIVING_SYSTEMS, DrivingOption
+from brink.sim.programs.installed import COMMANDS_VARIABLE
+
+EXAMPLES: Final = Path(__file__).resolve().parents[1] / "examples" / "driving"
+LEAST_SHARE: Final = 0.6
+_BARE: Final = "bare@1"
+
+
+class _Bare:
+    """Rolls on: what a drive costs without a driving system."""
+
+    needs: ClassVar = "boxes"
+
+    def __init__(self, start: Start) -> None:
+        self._decision = Decision(accel_mps2=0.0, steer_rad=0.0)
+
+    def step(self, observation: Observation) -> Decision:
+        return self._decision
+
+
+@dataclass(slots=True)
+class _Cost:
+    steps: float = 0.0
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+
+    @property
+    def rate(self) -> float:
+        return self.steps / self.wall_s
+
+
+@contextmanager
+def _systems() -> Iterator[dict[str, str]]:
+    """Yield the ids of the driving systems by name, with the one in C++ built."""
+    os.environ[PLUGINS_VARIABLE] = "idm,aeb"
+    sys.path.insert(0, str(EXAMPLES))
+    register(DRIVING_SYSTEMS, _BARE, _Bare)
+    with tempfile.TemporaryDirectory(prefix="brink-") as folder:
+        os.environ[COMMANDS_VARIABLE] = folder
+        cpp = Path(shutil.copytree(EXAMPLES / "cpp", Path(folder) / "cpp"))
+        for command in (["cmake", "-B", "build"], ["cmake", "--build", "build"]):
+            subprocess.run(command, cwd=cpp, check=True, stdout=subprocess.DEVNULL)
+        programs = [Definition.of(file) for file in (cpp / "idm.yaml", EXAMPLES / "aeb_process.yaml")]
+        for program in programs:
+            install(program)
+        yield {
+            "bare loop": _BARE,
+            "IDM, Python in process": "idm:Idm",
+            "IDM, C++ process": programs[0].id(),
+            "AEB, Python in process": "aeb:EmergencyBrake",
+            "AEB, Python process": programs[1].id(),
+        }
+        end_processes()
+
+
+def measure_driving(*, drives: int, seed: int, progress: Progress) -> list[Row]:
+    """Return control steps a second by each way, and the shares that remain in processes of their own.
+
+    Args:
+        drives: Number of drives by each.
+        seed: Seed of the drives, which are random candidates of `urban-injected@1` with perfect perception.
+        progress: Progress callback.
+
+    Raises:
+        OSError: There is no cmake.
+        subprocess.CalledProcessError: There is no compiler.
+    """
+    rng = np.random.default_rng(seed)
+    with _systems() as systems:
+        costs = {name: _Cost() for name in systems}
+        for number in counted(progress, "drives", drives + 1):
+            spec = spec_of(draw_candidate(rng), number, oracle=True)
+            for name, system in systems.items():
+                simulator = make_simulator(spec.simulator)
+                options = {**spec.options, **DrivingOption(system=system).to_options()}
+                began_s, began_cpu_s = time.perf_counter(), time.process_time()
+                result = simulator.run(replace(spec, options=options))
+                if number > 0:  # in the first drive, programs start
+                    simulated_s = result.provenance["simulated_s"]
+                    assert isinstance(simulated_s, float)
+                    costs[name].steps += simulated_s / CONTROL_STEP_S
+                    costs[name].wall_s += time.perf_counter() - began_s
+                    costs[name].cpu_s += time.process_time() - began_cpu_s
+    return list(_rows(costs))
+
+
+def _rows(costs: dict[str, _Cost]) -> Iterator[Row]:
+    for name, cost in costs.items():
+        note = f"{1e6 * cost.cpu_s / cost.steps:.0f} µs of CPU time a step here, without the program's own"
+        yield untargeted(f"{name}: steps a second", cost.rate, note)
+    for twin, name, least in (
+        ("IDM, Python in process", "IDM, C++ process", LEAST_SHARE),
+        ("AEB, Python in process", "AEB, Python process", None),
+    ):
+        yield at_least(f"{name}, share of the rate in process", costs[name].rate / costs[twin].rate, least)
