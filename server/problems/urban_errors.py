@@ -4,7 +4,7 @@ The scenario is that of `urban-injected@1`. The behaviour is a number of errors 
 without any, the detector reports the truth. Source: ours; see docs/explanation/tolerance.md.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -35,8 +35,10 @@ from brink.server.problems.urban_injected import (
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.perception_errors import MODE
 from brink.sim.urban.detection_errors import (
+    BOX_TYPES,
     MAGNITUDES,
     MAX_ERRORS,
+    ON_OBJECTS,
     WINDOW_FIELDS,
     DetectionError,
     ErrorType,
@@ -49,6 +51,11 @@ from brink.sim.world.scenario import words_of_scenario
 
 SIMULATOR = "brink-drive-errors@2"
 LATEST_ONSET_S: Final = 12.0
+BOXES: Final = "boxes"
+_ABOUT_OBJECTS: Final = (
+    " Errors act on the list of objects. A driving system that gets boxes, and a guard, got the boxes of these "
+    "objects."
+)
 COVERED: Final = (
     ErrorType.MISS,
     ErrorType.LATE,
@@ -68,14 +75,18 @@ class UrbanErrorsParams(UrbanParams):
 
     requirement: Stated = requirement_setting(["front-gap@1", "no-collision@1"], REQUIREMENTS)  # noqa: RUF009
     errors: int = setting(2, ge=1, le=MAX_ERRORS, help="Maximum number of errors in an episode.")
+    errors_on: str = setting(
+        BOXES, choices=(BOXES, ON_OBJECTS), help="What is wrong: boxes in the image, or a list of objects."
+    )
 
 
-def errors_component(count: int, duration_s: float) -> Component:
-    """Return the component of up to `count` errors of the detector in episodes of a length."""
+def errors_component(count: int, duration_s: float, types: Iterable[ErrorType] = BOX_TYPES) -> Component:
+    """Return the component of up to `count` errors of some types in episodes of a length."""
+    kinds = tuple(types)
     return slots_component(
         [
             (
-                Categorical(name=prefix + "type", choices=(NO_ERROR, *(item.value for item in ErrorType))),
+                Categorical(name=prefix + "type", choices=(NO_ERROR, *(kind.value for kind in kinds))),
                 Categorical(name=prefix + "target", choices=tuple(item.value for item in Target)),
                 Categorical(name=prefix + "onset", choices=tuple(item.value for item in Onset)),
                 Real(
@@ -91,7 +102,9 @@ def errors_component(count: int, duration_s: float) -> Component:
                     low=0.0,
                     high=1.0,
                     unit="",
-                    resolution=severity_resolution(prefix + "type", MAGNITUDES),
+                    resolution=severity_resolution(
+                        prefix + "type", {kind: MAGNITUDES[kind] for kind in kinds}
+                    ),
                 ),
             )
             for prefix in prefixes("error", count)
@@ -132,7 +145,10 @@ class UrbanErrors(Driven, PerceptionErrors[DetectionError]):
 
     def __init__(self, params: UrbanErrorsParams) -> None:
         self.params = params
-        self.space = SearchSpace((scenario_component(), errors_component(params.errors, params.duration_s)))
+        types = ErrorType if params.errors_on == ON_OBJECTS else BOX_TYPES
+        self.space = SearchSpace(
+            (scenario_component(), errors_component(params.errors, params.duration_s, types))
+        )
         whole = {"onset": Onset.TIME.value, "duration_s": params.duration_s}
         pedestrian = f"{self.first('target')}={Target.PEDESTRIAN.value}"
         self.algorithm_defaults = self.study_of_severity(whole) | {
@@ -144,16 +160,18 @@ class UrbanErrors(Driven, PerceptionErrors[DetectionError]):
         self.formulas = formulas_in(params.requirement)
         self.needs = SIMULATOR
         self.timeout_s = params.timeout_s
-        self.about_component = (type(self).about_component + about_driving(params.driving)).strip()
+        about = _ABOUT_OBJECTS if params.errors_on == ON_OBJECTS else about_driving(params.driving)
+        self.about_component = (type(self).about_component + about).strip()
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a scenario and the errors in it."""
         decoded = self.space.decode(tuple(vectors))
+        on: dict[str, Json] = {} if self.params.errors_on == BOXES else {"on": self.params.errors_on}
         errors: list[Json] = [error.to_json() for error in self.errors(decoded[BEHAVIOUR])]
         return EpisodeSpec(
             simulator=SIMULATOR,
             scenario=scenario_of(decoded[SCENARIO]),
-            behaviour={"mode": MODE, "errors": errors},
+            behaviour={"mode": MODE, **on, "errors": errors},
             requirements=self.evaluated,
             formulas=self.formulas,
             seed=seed,
@@ -204,6 +222,8 @@ class UrbanErrors(Driven, PerceptionErrors[DetectionError]):
 
     def measures_errors(self, choices: Mapping[str, str]) -> bool:
         """Return whether errors of a type are measured."""
+        if self.params.errors_on != BOXES:
+            return False
         return self.first("target") in choices and ErrorType(choices[self.first("type")]) in MEASURED
 
     def measured_severity(

@@ -3,6 +3,7 @@
 import math
 import traceback
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, Final, NoReturn, get_args
 
@@ -102,7 +103,12 @@ class SystemUnderTest:
         Raises:
             DrivingSystemFailed: The driving system raised an error, or returned no valid decision.
         """
-        given = observation if self._tracking is None else self._with_objects(observation, self._tracking)
+        if self._tracking is not None:
+            given = self._with_objects(observation, self._tracking)
+        elif observation.objects is not None:
+            given = replace(observation, objects=None)
+        else:
+            given = observation
         try:
             decision = self._system.step(given)
         except (Exception, SystemExit) as error:  # noqa: BLE001  (foreign code; its error becomes ours)
@@ -154,9 +160,11 @@ class SystemUnderTest:
         return self._own.obstacles
 
     def _with_objects(self, observation: Observation, tracking: BoxTracking) -> Observation:
-        """Return an observation with objects in place of boxes."""
-        tracks = tracking.update(observation)
-        objects = None if tracks is None else seen_objects(tracks, observation, self._start)
+        """Return an observation with objects in place of boxes, those of its own if it has any."""
+        objects = observation.objects
+        if objects is None:
+            tracks = tracking.update(observation)
+            objects = None if tracks is None else seen_objects(tracks, observation, self._start)
         if objects is not None:
             self._objects = tuple(_in_world(one, observation.ego) for one in objects)
         return Observation(

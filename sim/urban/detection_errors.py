@@ -1,7 +1,8 @@
 """Errors of the obstacle detector relative to the truth: their types, targets, time windows and magnitudes.
 
 The detector reports the truth, apart from a few errors. An error has a type, a target, usually a time window, and a
-magnitude in a physical unit. `brink.sim.urban.erroneous_detector` does to the boxes what is described here.
+magnitude in a physical unit. `brink.sim.urban.erroneous_detector` does to the boxes what is described here, and
+`brink.sim.urban.erroneous_objects` to objects.
 
 *Severity* puts the magnitudes of a type on a scale from 0, no error, to 1, the grossest error that is studied. The
 two are proportional, so that half the severity is half the time, distance or share.
@@ -42,6 +43,29 @@ class ErrorType(StrEnum):
     SHORT_RANGE = "short_range"
     GHOST_ON_ROAD = "ghost_on_road"
     GHOST_IN_IMAGE = "ghost_in_image"
+    TOO_FAST = "too_fast"
+    TOO_SLOW = "too_slow"
+    STALE = "stale"
+    UNSURE = "unsure"
+    NEW_ID = "new_id"
+    NOISE = "noise"
+
+
+OBJECT_TYPES: Final = frozenset(
+    {
+        ErrorType.TOO_FAST,
+        ErrorType.TOO_SLOW,
+        ErrorType.STALE,
+        ErrorType.UNSURE,
+        ErrorType.NEW_ID,
+        ErrorType.NOISE,
+    }
+)
+"""What can be wrong with a list of objects alone."""
+BOX_TYPES: Final = tuple(kind for kind in ErrorType if kind not in OBJECT_TYPES)
+"""What can be wrong with boxes."""
+ON_OBJECTS: Final = "objects"
+"""What errors act on if not on boxes."""
 
 
 class Target(StrEnum):
@@ -157,6 +181,44 @@ MAGNITUDES: Final[Mapping[ErrorType, Magnitude]] = {
         none=0.0,
         most=LONGEST_S,
         meaning="how long a target that is not there is reported at a place in the image",
+    ),
+    ErrorType.TOO_FAST: Magnitude(
+        unit="m/s",
+        none=0.0,
+        most=8.0,
+        has_duration=True,
+        meaning="how much faster the target is reported, along its heading",
+    ),
+    ErrorType.TOO_SLOW: Magnitude(
+        unit="m/s",
+        none=0.0,
+        most=8.0,
+        has_duration=True,
+        meaning="how much slower the target is reported, along its heading",
+    ),
+    ErrorType.STALE: Magnitude(
+        unit="s",
+        none=0.0,
+        most=2.0,
+        has_duration=True,
+        meaning="how old the report of the target is, besides the latency of all reports",
+    ),
+    ErrorType.UNSURE: Magnitude(
+        unit="share",
+        none=0.0,
+        most=1.0,
+        has_duration=True,
+        meaning="how much lower the existence of the target is",
+    ),
+    ErrorType.NEW_ID: Magnitude(
+        unit="s", none=0.0, most=LONGEST_S, meaning="how long the target has a new number in each report"
+    ),
+    ErrorType.NOISE: Magnitude(
+        unit="share",
+        none=0.0,
+        most=0.5,
+        has_duration=True,
+        meaning="standard deviation of the target's reported place, as a share of its distance",
     ),
 }
 
@@ -302,6 +364,12 @@ _REPORTS: Final[Mapping[ErrorType, tuple[str, str]]] = {
     ErrorType.SHORT_RANGE: ("", "only within {much}"),
     ErrorType.GHOST_ON_ROAD: ("", "on the road for {much}"),
     ErrorType.GHOST_IN_IMAGE: ("", "at a fixed place in the image for {much}"),
+    ErrorType.TOO_FAST: ("", "{much} too fast"),
+    ErrorType.TOO_SLOW: ("", "{much} too slow"),
+    ErrorType.STALE: ("", "as it was {much} earlier"),
+    ErrorType.UNSURE: ("", "with {much} less existence"),
+    ErrorType.NEW_ID: ("", "under a new number each time for {much}"),
+    ErrorType.NOISE: ("", "with noise of {much} of its distance"),
 }
 """The words before and after "reported" or "reporting"."""
 
@@ -352,13 +420,16 @@ def errors_from_json(document: Mapping[str, Json], duration_s: float) -> tuple[D
     """Parse the errors of an episode.
 
     Args:
-        document: ``{"mode": "errors", "errors": [...]}``.
+        document: ``{"mode": "errors", "errors": [...]}``, and ``"on": "objects"`` unless they act on boxes.
         duration_s: Length of the episode, which bounds times.
 
     Raises:
         InvalidEpisode: A field is missing, unknown, or outside its unit.
     """
-    check_fields("behaviour", document, ("mode", "errors"))
+    on_objects = "on" in document
+    check_fields("behaviour", document, ("mode", *(["on"] if on_objects else []), "errors"))
+    if on_objects and document["on"] != ON_OBJECTS:
+        raise InvalidEpisode(f"behaviour.on: expected {ON_OBJECTS}, or nothing; got {document['on']!r:.80}")
     if document["mode"] != MODE:
         raise InvalidEpisode(f"behaviour.mode: expected {MODE}, got {document['mode']!r}")
     items = document["errors"]
@@ -366,9 +437,15 @@ def errors_from_json(document: Mapping[str, Json], duration_s: float) -> tuple[D
         raise InvalidEpisode(
             f"behaviour.errors: expected a list of at most {MAX_ERRORS} errors, got {items!r:.80}"
         )
-    return tuple(
+    errors = tuple(
         DetectionError.from_json(f"behaviour.errors[{i}]", item, duration_s) for i, item in enumerate(items)
     )
+    for index, error in enumerate(errors):
+        if error.type in OBJECT_TYPES and not on_objects:
+            raise InvalidEpisode(
+                f'behaviour.errors[{index}].type: {error.type} needs a list of objects, so "on": "{ON_OBJECTS}"'
+            )
+    return errors
 
 
 ERROR_STEPS: Final = "error_steps"

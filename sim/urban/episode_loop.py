@@ -9,7 +9,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 from brink.sim.bullet.engine import Engine
 from brink.sim.driving.camera import Camera
@@ -27,6 +27,7 @@ from brink.sim.driving.interface import (
 )
 from brink.sim.requirements import Requirement, WorldSample
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
+from brink.sim.urban.erroneous_objects import ObjectReport, seen_from
 from brink.sim.urban.facts import Facts
 from brink.sim.urban.recorder import Recorder
 from brink.sim.world.streams import Stream, generator
@@ -39,6 +40,17 @@ DRIFT_S = 1.5
 """Time constant of localisation errors."""
 
 YAW_ERROR_RAD_PER_M = 0.03
+
+
+@runtime_checkable
+class ReportsObjects(Protocol):
+    """An obstacle detector that reports objects, too.
+
+    Attributes:
+        objects: What it reported when it was last called.
+    """
+
+    objects: tuple[ObjectReport, ...]
 
 
 class Sensing:
@@ -73,6 +85,7 @@ class Sensing:
         self._step_s = step_s
         self._injected_steps = step_s / PERCEPTION_STEP_S
         self._detects = detects
+        self._objects = detects if isinstance(detects, ReportsObjects) else None
         self._behaviour = behaviour
         self.delivered: list[tuple[int, int] | None] = [None] * len(behaviour.trajectories)
         self._camera = camera
@@ -152,6 +165,10 @@ class Sensing:
                 since = self.delivered[index]
                 self.delivered[index] = (since[0] if since else perception_step, perception_step)
         return tuple(boxes)
+
+    def objects(self) -> tuple[ObjectReport, ...] | None:
+        """Return the objects that were reported with the last boxes; None without a list of objects."""
+        return None if self._objects is None else self._objects.objects
 
     def truth(self) -> tuple[Box, ...]:
         """Return the boxes of all bodies visible to the camera."""
@@ -279,7 +296,7 @@ class _Loop:
     sample: WorldSample
     latency_steps: int
     control_per_perception: int
-    processed: deque[tuple[int, float, tuple[Box, ...], LightReading | None]]
+    processed: deque[tuple[int, float, tuple[Box, ...], tuple[ObjectReport, ...] | None, LightReading | None]]
     light: LightReading | None = None
     least_front_m: float | None = None
     standing: int = 0
@@ -321,14 +338,17 @@ class _Loop:
         else:
             boxes = sensing.boxes(perception_step)
             state = sensing.localise(perception_step)
-            self.processed.append(
-                (step + self.latency_steps, time_s, boxes, sensing.light(perception_step, time_s))
-            )
-        arrived, seen_s = None, None
+            light = sensing.light(perception_step, time_s)
+            self.processed.append((step + self.latency_steps, time_s, boxes, sensing.objects(), light))
+        arrived, seen_s, objects = None, None, None
         if self.processed and self.processed[0][0] <= step:
-            _, seen_s, arrived, self.light = self.processed.popleft()
+            _, seen_s, arrived, reports, self.light = self.processed.popleft()
+            if reports is not None:
+                objects = seen_from(reports, self.world.ego, time_s - seen_s)
         command = self.driving.step(
-            Observation(time_s=time_s, ego=state, boxes=arrived, light=self.light, seen_s=seen_s)
+            Observation(
+                time_s=time_s, ego=state, boxes=arrived, light=self.light, seen_s=seen_s, objects=objects
+            )
         )
         if self.recorder is not None and not between:
             shown = self.sample.light.value if self.sample.light is not None else ""

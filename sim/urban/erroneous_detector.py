@@ -6,9 +6,10 @@ ones, bit for bit.
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final, Generic, TypeVar
 
 from brink.sim.driving.camera import Camera, Sighting, Solid
 from brink.sim.driving.interface import PERCEPTION_STEP_S, Box, ObstacleLabel
@@ -39,7 +40,8 @@ _LEAST_PX: Final = 1.0
 """Narrower or lower boxes are not reported."""
 _ROUNDING: Final = 1e-9
 
-_Edit: TypeAlias = Callable[[Box], Box | None]
+T = TypeVar("T")
+"""What is reported of a road user."""
 
 
 class ErroneousDetector:
@@ -59,7 +61,7 @@ class ErroneousDetector:
         self._world = world
         self._camera = camera
         self._observer = Observer(world, camera)
-        self._errors = [_ActiveError(error, camera) for error in errors]
+        self._errors = [_BoxError(error, camera) for error in errors]
         self.steps: list[tuple[int, int] | None] = [None] * len(errors)
 
     def __call__(self, time_s: float) -> tuple[Box, ...]:
@@ -246,39 +248,56 @@ class Scene:
 _COS_45: Final = math.cos(math.radians(45.0))
 
 
-class _ActiveError:
-    """One error during an episode."""
+class ActiveError(ABC, Generic[T]):
+    """One error during an episode: when and on whom it acts. Subclasses say what it does to a report.
 
-    def __init__(self, error: DetectionError, camera: Camera) -> None:
+    Args:
+        error: The error.
+    """
+
+    def __init__(self, error: DetectionError) -> None:
         self._error = error
-        self._camera = camera
-        self._scale = MAGNITUDES[error.type]
         self._has_effect = error.severity > 0.0
-        self._lasts_s = error.duration_s if self._scale.has_duration else error.magnitude
+        self._lasts_s = error.duration_s if MAGNITUDES[error.type].has_duration else error.magnitude
         self._begun_s: float | None = None
         self._has_happened = False
         self._stepped_out: int | None = None
         self._only: int | None = None
         self._first_seen_s: dict[int, float] = {}
         self._ghosts: list[Solid] = []
-        self._ghost_boxes: list[Box] = []
 
-    def apply(self, scene: Scene, boxes: list[tuple[int, Box]]) -> tuple[bool, list[tuple[int, Box]]]:
-        """Return whether the error changes anything, and the resulting boxes, each with the number of its body."""
+    @abstractmethod
+    def _edit(self, scene: Scene) -> Callable[[int, T], T | None]:
+        """Return what the error makes of the report of a body; None if it is not reported."""
+
+    @abstractmethod
+    def _ghosts_now(self, scene: Scene) -> list[T]:
+        """Return the reports of ghosts."""
+
+    def apply(self, scene: Scene, reports: list[tuple[int, T]]) -> tuple[bool, list[tuple[int, T]]]:
+        """Return whether the error changes anything, and the resulting reports, each with the number of its body."""
         if not self._has_effect:
-            return False, boxes
+            return False, reports
         error = self._error
         if error.type is ErrorType.LATE:
-            return self._edited(boxes, self._not_yet_reported(scene), _nothing)
+            return self._edited(reports, self._not_yet_reported(scene), _nothing)
         if error.type is ErrorType.SHORT_RANGE:
             far = {sight.body for sight in scene.sights if sight.depth_m > error.magnitude}
-            return self._edited(boxes, far & scene.group(error.target), _nothing)
+            return self._edited(reports, far & scene.group(error.target), _nothing)
         if not self._is_on(scene):
-            return False, boxes
+            return False, reports
         if error.type in GHOSTS:
             ghosts = self._ghosts_now(scene)
-            return bool(ghosts), [*boxes, *((-1, box) for box in ghosts)]
-        return self._edited(boxes, self._targets(scene), self._edit(scene))
+            return bool(ghosts), [*reports, *((-1, ghost) for ghost in ghosts)]
+        if error.type is ErrorType.MISS or (error.type is ErrorType.FLICKER and self._flickers(scene)):
+            return self._edited(reports, self._targets(scene), _nothing)
+        if error.type is ErrorType.FLICKER:
+            return False, reports
+        return self._edited(reports, self._targets(scene), self._edit(scene))
+
+    def _flickers(self, scene: Scene) -> bool:
+        since_s = scene.time_s - (self._begun_s or 0.0) + _ROUNDING
+        return since_s % FLICKER_PERIOD_S < self._error.magnitude * FLICKER_PERIOD_S
 
     def _is_on(self, scene: Scene) -> bool:
         """Return whether the window is open, and open it if its onset has come and there is a target."""
@@ -327,44 +346,47 @@ class _ActiveError:
         }
 
     def _edited(
-        self, boxes: list[tuple[int, Box]], targets: set[int], edit: _Edit
-    ) -> tuple[bool, list[tuple[int, Box]]]:
+        self, reports: list[tuple[int, T]], targets: set[int], edit: Callable[[int, T], T | None]
+    ) -> tuple[bool, list[tuple[int, T]]]:
         if not targets:
-            return False, boxes
+            return False, reports
         changed, kept = False, []
-        for body, box in boxes:
+        for body, report in reports:
             if body not in targets:
-                kept.append((body, box))
+                kept.append((body, report))
                 continue
-            new = edit(box)
-            changed = changed or new != box
+            new = edit(body, report)
+            changed = changed or new != report
             if new is not None:
                 kept.append((body, new))
         return changed, kept
 
-    def _edit(self, scene: Scene) -> _Edit:
+
+class _BoxError(ActiveError[Box]):
+    """An error of the boxes."""
+
+    def __init__(self, error: DetectionError, camera: Camera) -> None:
+        super().__init__(error)
+        self._camera = camera
+        self._ghost_boxes: list[Box] = []
+
+    def _edit(self, scene: Scene) -> Callable[[int, Box], Box | None]:
         error, camera = self._error, self._camera
         match error.type:
-            case ErrorType.MISS:
-                return _nothing
-            case ErrorType.FLICKER:
-                since_s = scene.time_s - (self._begun_s or 0.0) + _ROUNDING
-                is_off = since_s % FLICKER_PERIOD_S < error.magnitude * FLICKER_PERIOD_S
-                return _nothing if is_off else _unchanged
             case ErrorType.TOO_FAR:
-                return lambda box: _at_distance(camera, box, 1.0 + error.magnitude)
+                return lambda _, box: _at_distance(camera, box, 1.0 + error.magnitude)
             case ErrorType.TOO_NEAR:
-                return lambda box: _at_distance(camera, box, 1.0 - error.magnitude)
+                return lambda _, box: _at_distance(camera, box, 1.0 - error.magnitude)
             case ErrorType.LEFT:
-                return lambda box: _moved_aside(camera, box, -error.magnitude)
+                return lambda _, box: _moved_aside(camera, box, -error.magnitude)
             case ErrorType.RIGHT:
-                return lambda box: _moved_aside(camera, box, error.magnitude)
+                return lambda _, box: _moved_aside(camera, box, error.magnitude)
             case ErrorType.TOO_LARGE:
-                return lambda box: _scaled(camera, box, 1.0 + error.magnitude)
+                return lambda _, box: _scaled(camera, box, 1.0 + error.magnitude)
             case ErrorType.TOO_SMALL:
-                return lambda box: _scaled(camera, box, 1.0 - error.magnitude)
+                return lambda _, box: _scaled(camera, box, 1.0 - error.magnitude)
             case _:
-                return relabelled
+                return lambda _, box: relabelled(box)
 
     def _ghosts_now(self, scene: Scene) -> list[Box]:
         ego = scene.world.ego
@@ -378,12 +400,8 @@ class _ActiveError:
         return boxes
 
 
-def _nothing(box: Box) -> None:
+def _nothing(_: int, report: object) -> None:
     return None
-
-
-def _unchanged(box: Box) -> Box:
-    return box
 
 
 def relabelled(box: Box) -> Box:

@@ -33,7 +33,7 @@ from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import PERCEPTION_STEP_S, Box, ObstacleLabel
 from brink.sim.driving.obstacles import overlap
 from brink.sim.episode import Json
-from brink.sim.urban.detection_errors import RELEVANT_M, ErrorType, Target
+from brink.sim.urban.detection_errors import BOX_TYPES, RELEVANT_M, ErrorType, Target
 
 MEASURES: Final = "measured_errors"
 """Name of the feature with the detector's errors: the magnitude of each type, by target."""
@@ -56,7 +56,7 @@ RANGE_FROM_M: Final = 25.0
 _BIN_M: Final = 5.0
 _ROUNDING_S: Final = 1e-6
 
-MEASURED: Final = tuple(kind for kind in ErrorType if kind is not ErrorType.GHOST_IN_IMAGE)
+MEASURED: Final = tuple(kind for kind in BOX_TYPES if kind is not ErrorType.GHOST_IN_IMAGE)
 Measures = Mapping[Target, Mapping[ErrorType, float]]
 """Magnitude of each type of error, by target. What a drive cannot tell is missing."""
 

@@ -15,7 +15,7 @@ from brink.sim.bullet.engine import Engine, EngineError, bullet_versions, discar
 from brink.sim.bullet.wheels import WheeledCar
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import Driving
+from brink.sim.driving.interface import PERCEPTION_STEP_S, Driving
 from brink.sim.driving_systems.option import DrivingOption
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import SimulationCrashed
@@ -28,6 +28,7 @@ from brink.sim.urban.behaviour import DELIVERED, BehaviourMode, DetectorBehaviou
 from brink.sim.urban.detection_errors import ERROR_STEPS, DetectionError, errors_from_json
 from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
 from brink.sim.urban.erroneous_detector import ErroneousDetector
+from brink.sim.urban.erroneous_objects import ErroneousObjects
 from brink.sim.urban.options import WHEELS, DriveOptions
 from brink.sim.urban.range_sensor import known_conditions, range_sensor, scan_number
 from brink.sim.urban.recorder import Recorder
@@ -148,7 +149,7 @@ class BrinkDriveErrors(BrinkDrive):
     id = ERRORS_SIMULATOR_ID
 
     def _detector(self, spec: EpisodeSpec) -> "UrbanDetector":
-        return _WithErrors(errors_from_json(spec.behaviour, spec.duration_s))
+        return _WithErrors(errors_from_json(spec.behaviour, spec.duration_s), spec)
 
 
 class UrbanDetector(Protocol):
@@ -188,13 +189,18 @@ class _Injected:
 class _WithErrors:
     """The ground truth with errors."""
 
-    def __init__(self, errors: Sequence[DetectionError]) -> None:
+    def __init__(self, errors: Sequence[DetectionError], spec: EpisodeSpec) -> None:
         self.behaviour = DetectorBehaviour(mode=BehaviourMode.ORACLE)
         self._errors = errors
-        self._started: ErroneousDetector | None = None
+        self._spec = spec
+        self._started: ErroneousDetector | ErroneousObjects | None = None
 
     def start(self, world: World, camera: Camera) -> Detects:
-        self._started = ErroneousDetector(world, camera, self._errors)
+        if "on" in self._spec.behaviour:
+            steps = round(self._spec.duration_s / PERCEPTION_STEP_S) + 1
+            self._started = ErroneousObjects(world, camera, self._errors, seed=self._spec.seed, steps=steps)
+        else:
+            self._started = ErroneousDetector(world, camera, self._errors)
         return self._started
 
     def features(self, outcome: Outcome) -> dict[str, Json]:

@@ -18,6 +18,7 @@ from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
 from brink.sim.errors import InvalidEpisode
 from brink.sim.trace import FloatArray, Trace
 from brink.sim.urban.detection_errors import (
+    BOX_TYPES,
     MAGNITUDES,
     MAX_ERRORS,
     DetectionError,
@@ -225,7 +226,8 @@ def scene_of(result: EpisodeResult) -> tuple[JsonObject, dict[str, bytes]]:
 
 NOTHING: list[JsonObject] = [
     error(kind.value, scale.none, target.value, **({"onset_s": 0.0} if scale.has_window else {}))
-    for (kind, scale), target in zip(MAGNITUDES.items(), [*Target, *Target, *Target], strict=False)
+    for kind, target in zip(BOX_TYPES, [*Target, *Target, *Target], strict=False)
+    for scale in [MAGNITUDES[kind]]
 ]
 """An error of severity 0 of each type."""
 
@@ -627,8 +629,14 @@ def test_an_error_reads_what_it_writes(kind: ErrorType) -> None:
     magnitude = scale.at(0.25)
     lasts_s = {"duration_s": 2.5 if scale.has_duration else magnitude} if scale.has_window else {}
     one = DetectionError(type=kind, target=Target.ONCOMING, magnitude=magnitude, **window, **lasts_s)  # type: ignore[arg-type]
-    behaviour: JsonObject = {"mode": "errors", "errors": [one.to_json()]}
+    behaviour: JsonObject = {"mode": "errors", "on": "objects", "errors": [one.to_json()]}
     assert errors_from_json(behaviour, DURATION_S) == (one,)
+    del behaviour["on"]
+    if kind in BOX_TYPES:
+        assert errors_from_json(behaviour, DURATION_S) == (one,)
+    else:
+        with pytest.raises(InvalidEpisode, match=f"{kind} needs a list of objects"):
+            errors_from_json(behaviour, DURATION_S)
     assert one.severity == pytest.approx(0.25)
     assert scale.severity(scale.none) == 0.0
     assert scale.severity(scale.most) == 1.0
