@@ -17,7 +17,7 @@ from brink.search.errors import ConfigError
 from brink.search.parameters import Parameter, Value
 from brink.search.settings import check_settings, setting
 from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
-from brink.server.problems.base import BEHAVIOUR, Vectors
+from brink.server.problems.base import BEHAVIOUR, SeverityScale, Vectors
 from brink.server.problems.changes import different, instead
 from brink.server.problems.error_slots import (
     NO_ERROR,
@@ -340,6 +340,15 @@ class GymnasiumProblem(ErrorSlots[Perturbation]):
     def unused(self, error: Perturbation) -> Collection[str]:
         """Return the parameters that a perturbation of this type does not have."""
         return ("magnitude",) if error.type in WITHOUT_MAGNITUDE else ()
+
+    def scale_of(self, name: str, values: Mapping[str, Values]) -> SeverityScale | None:
+        """Return the scale of a number of steps, which says what the steps are; None for other numbers."""
+        meanings = {
+            "from_step": "first step of the perturbation",
+            "steps": "how many steps the perturbation lasts",
+        }
+        meaning = meanings.get(name.rpartition(".")[2])
+        return None if meaning is None else SeverityScale(unit="steps", none=0.0, most=1.0, meaning=meaning)
 
     def words(self, vectors: Vectors) -> str:
         """Describe a candidate."""

@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Row
 from brink.search.analysis.confirmation import Share
 from brink.search.archive import Archive
 from brink.search.pairs import Steps
-from brink.search.parameters import Number
+from brink.search.parameters import Integer, Number
 from brink.search.space import FloatArray, IntArray
 from brink.search.thresholds import CONFIDENCE, Outcome
 from brink.server.campaigns import view_store
@@ -175,7 +175,7 @@ def _view(
     problem, line = read.plan.problem, one.line
     row = read.archive.vectors[int(line.places[0])]
     amounts = Amounts.of(problem, line.leading, row, one.resolution)
-    safe, unsafe = (_at(problem, read.archive, one, value) for value in _sides(one, amounts))
+    safe, unsafe = (_at(problem, read.archive, one, value) for value in _sides(problem, one, amounts))
     first, last = (_at(problem, read.archive, one, value) for value in line.ends)
     steps = Steps(problem.space)
     units = steps.differing(*(problem.space.join(tuple(side.vectors)) for side in (safe, unsafe))) or [
@@ -229,17 +229,22 @@ def _view(
     )
 
 
-def _sides(one: Threshold, amounts: Amounts) -> list[float]:
+def _sides(problem: Problem, one: Threshold, amounts: Amounts) -> list[float]:
     """Return the 20 and the 80% point, or else the ends of the line.
 
-    They are rounded as people read them, unless that makes them equal.
+    They are rounded as people read them, unless that makes them equal; whole numbers, outwards then.
     """
     points = [
         point if math.isfinite(point) else end
         for point, end in zip((one.start, one.end), one.line.ends, strict=True)
     ]
     rounded = [amounts.rounded(point) for point in points]
-    return points if rounded[0] == rounded[1] else rounded
+    if rounded[0] != rounded[1]:
+        return rounded
+    if not isinstance(problem.space.parameters[one.line.leading], Integer):
+        return points
+    outwards = (math.floor, math.ceil) if one.line.rises else (math.ceil, math.floor)
+    return [float(towards(point)) for towards, point in zip(outwards, points, strict=True)]
 
 
 def _at(problem: Problem, archive: Archive, one: Threshold, value: float) -> SimulatedSolution:

@@ -248,11 +248,12 @@ def change_of(
     names = [name for one in changes for name in one.names]
     if words := problem.words_of_change(safe, unsafe, names):
         return as_sentence(words)
-    return ", ".join(
-        f"{name} {instead(old, new, unit)}"
+    parts = [
+        f"{_named(problem, name, unit)} {instead(old, new, unit)}"
         for one in changes
         for name, old, new, unit in zip(one.names, one.safe, one.unsafe, one.units, strict=True)
-    )
+    ]
+    return as_sentence(", ".join(parts))
 
 
 def sentence(one: Threshold, change: str, fails: str, ends: Sequence[str], parameter: str) -> str:
@@ -336,8 +337,6 @@ def rises(one: Threshold, amounts: Amounts) -> bool:
 def parameter_words(problem: Problem, name: str, side: SimulatedSolution, unit: str) -> str:
     """Return what a number is: what its scale measures, or else its title without the unit.
 
-    The component is left out where no other one has a parameter of this name.
-
     Args:
         problem: The problem.
         name: The number, as component.parameter.
@@ -347,12 +346,20 @@ def parameter_words(problem: Problem, name: str, side: SimulatedSolution, unit: 
     scale = problem.scale_of(name, problem.space.decode(tuple(side.vectors)))
     if scale is not None:
         return scale.meaning
+    return _named(problem, name, unit)
+
+
+def _named(problem: Problem, name: str, unit: str) -> str:
+    """Return the title of a parameter without its unit, which follows its values.
+
+    The component is left out where no other one has a parameter of this name.
+    """
     title, (_, _, own) = problem.space.titles()[name], name.partition(".")
     if title == name_in_words(name) and not any(
         other != name and other.endswith(f".{own}") for other in problem.space.column_names()
     ):
-        title = name_in_words(own)
-    return title.removesuffix(f" {unit}") if unit else title
+        title = own.replace(".", " ").replace("_", " ")
+    return title.removesuffix(f" {unit.replace('/', 'p')}") if unit else title
 
 
 def held(problem: Problem, safe: SimulatedSolution, unsafe: SimulatedSolution, unit: Unit) -> str:
@@ -380,11 +387,11 @@ def _without_bare_values(clause: str) -> str:
 
 
 def _listed(problem: Problem, side: SimulatedSolution, unit: Unit) -> str:
-    """Return the first values that are held, such as ``what.y 0.5 m``."""
+    """Return the first values that are held, such as ``y 0.5 m``."""
     space, row = problem.space, problem.space.join(tuple(side.vectors))
     units = ["" if isinstance(one, Categorical) else one.unit for one in space.parameters]
     listed = [
-        f"{name} {_value_text(parameter.decode(float(row[column])))} {units[column]}"
+        f"{_named(problem, name, units[column])} {_value_text(parameter.decode(float(row[column])))} {units[column]}"
         for column, (name, parameter) in enumerate(zip(space.column_names(), space.parameters, strict=True))
         if column not in unit
     ]

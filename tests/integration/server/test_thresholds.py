@@ -99,9 +99,9 @@ def test_the_radius_of_the_ball_is_found_with_an_interval_in_metres(threshold: d
     assert threshold["rule"] == f"unsafe with a probability of at least 80% at {threshold['at_80']:.2f} m", (
         "nothing was simulated beyond the interval of the 80% point"
     )
-    assert threshold["held"] == "what.y 0 m"
+    assert threshold["held"] == "y 0 m"
     assert threshold["kind"] == ["where.x", "violated distance"]
-    assert threshold["change"] == f"where.x {threshold['at_80']:.2f} m instead of {threshold['at_20']:.2f} m"
+    assert threshold["change"] == f"X {threshold['at_80']:.2f} m instead of {threshold['at_20']:.2f} m"
     assert threshold["words"] == f"{threshold['change']}: {threshold['fails']}"
 
 

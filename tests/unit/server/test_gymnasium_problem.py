@@ -10,10 +10,15 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from brink.search.archive import Archive, Neighbourhood
 from brink.search.space import Categorical
-from brink.server.campaigns.body import parse_body
-from brink.server.campaigns.plan import make_checked_plan
+from brink.search.thresholds import Outcome
+from brink.server.campaigns.body import CampaignBody, parse_body
+from brink.server.campaigns.plan import make_checked_plan, make_plan
+from brink.server.campaigns.thresholds import find_thresholds
 from brink.server.errors import InvalidInput
+from brink.server.findings.thresholds.analysis import _sides
+from brink.server.findings.thresholds.words import Amounts
 from brink.server.problems import gymnasium_env
 from brink.server.problems.base import NO_PART, SimulatedSolution, describe_candidate
 from brink.server.problems.catalogue import check_extra, make_problem
@@ -263,3 +268,25 @@ def test_a_formula_over_the_true_observation_gives_the_verdict() -> None:
     assert (pushed.violated, steady.violated, pushed.unit) == (True, False, "rad")
     assert pushed.violated_at_s is not None
     assert 20 * 0.02 < pushed.violated_at_s <= 2.0
+
+
+def test_a_threshold_between_two_numbers_of_steps_names_different_ones() -> None:
+    body = {"name": "g", "problem": {"id": "gymnasium@1"}, "algorithm": {"id": "random@1"}, "seed": 1}
+    plan = make_plan(CampaignBody.model_validate(body | {"budget": {"simulations": 48}}))
+    space = plan.problem.space
+    row = space.join(space.sample(np.random.default_rng(1))).copy()
+    names = list(space.column_names())
+    row[names.index("behaviour.perturbation_1.type")] = 1.0
+    row[names.index("behaviour.perturbation_1.from_step")] = 20.0
+    column = names.index("behaviour.perturbation_1.steps")
+    rows = np.tile(row, (48, 1))
+    rows[:, column] = np.tile([2, 3, 4, 5, 6, 7, 8, 9], 6)
+    unsafe = (rows[:, column] > 4) | ((rows[:, column] == 4) & (np.arange(48) % 16 < 8))
+    archive = Archive.empty(space, Neighbourhood()).grown(
+        list(range(48)), rows, unsafe.tolist(), np.where(unsafe, -1.0, 1.0).tolist()
+    )
+    (one,) = find_thresholds(archive, plan, np.ones(48, np.bool_), 1, ended=True).of(Outcome.THRESHOLD)
+    assert round(one.start) == round(one.end) == 4
+    sides = _sides(plan.problem, one, Amounts.of(plan.problem, column, row, one.resolution))
+    assert sides[0] <= one.start < one.end <= sides[1]
+    assert all(side.is_integer() for side in sides)

@@ -85,7 +85,7 @@ def test_a_component_is_named_only_where_two_have_a_parameter_of_that_name() -> 
         params_type = NoParams
 
         def __init__(self) -> None:
-            first = Component("parameters", (Real("gap_m", 0.0, 1.0, unit="m"), Real("speed", 0.0, 1.0)))
+            first = Component("parameters", (Real("gap_mps", 0.0, 1.0, unit="m/s"), Real("speed", 0.0, 1.0)))
             self.space = SearchSpace((first, Component("other", (Real("speed", 0.0, 1.0),))))
 
         def evaluate(self, vectors: Vectors) -> Evaluation:
@@ -93,7 +93,7 @@ def test_a_component_is_named_only_where_two_have_a_parameter_of_that_name() -> 
 
     problem = Plain()
     side = SimulatedSolution(vectors=problem.space.sample(np.random.default_rng(1)))
-    words = [parameter_words(problem, name, side, "m") for name in problem.space.column_names()]
+    words = [parameter_words(problem, name, side, "m/s") for name in problem.space.column_names()]
     assert words == ["gap", "parameters: speed", "other: speed"]
 
 
