@@ -71,7 +71,7 @@ from brink.server.errors import Damaged, InvalidInput, Unavailable
 from brink.server.metrics import Metrics
 from brink.server.problems.base import InProcessProblem, Problem, SimulatedProblem
 from brink.server.problems.catalogue import uses_user_code
-from brink.server.problems.driving_systems import drives_itself
+from brink.server.problems.driving_systems import users_part
 from brink.server.queue import job_store
 from brink.server.queue.job_store import JobOutcome, first_line
 from brink.server.queue.wakeups import Wakeups
@@ -86,7 +86,7 @@ FIRST_FAILURES = 5
 """This many failures before any success pause a campaign at once, unless it allows most simulations to fail."""
 
 DRIVEN_TWICE: Final = 4
-"""Solutions that are simulated a second time with a driving system of a user, to see whether it is deterministic."""
+"""Solutions that are simulated a second time with a user's driving system or program: is it deterministic?"""
 PLUGIN_STEPS_AT_ONCE: Final = 16
 """Maximum number of campaigns with user code whose steps run at a time. They mostly wait for it."""
 KNOWN_CAMPAIGNS: Final = 10_000
@@ -587,8 +587,8 @@ def _evidence(campaign: Campaign, plan: Plan, archive: Archive, boundary: IndexA
 
 
 def _driven_twice(campaign: Campaign, evaluations: Mapping[int, Evaluation]) -> list[int]:
-    """Return the solutions whose traces show whether a driving system of a user drives the same way again."""
-    if campaign.generation or drives_itself(campaign.body.problem.params):
+    """Return the solutions whose traces show whether what a user brought gives the same result again."""
+    if campaign.generation or not users_part(campaign.body.problem.params):
         return []
     return sorted(number for number, one in evaluations.items() if isinstance(one, Scored))[:DRIVEN_TWICE]
 

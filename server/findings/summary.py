@@ -24,7 +24,7 @@ from brink.server.findings.sources import Sources
 from brink.server.findings.table import MOST_ROWS
 from brink.server.findings.words import full_sentence, so_far
 from brink.server.problems.catalogue import takes_requirement
-from brink.server.problems.driving_systems import drives_itself
+from brink.server.problems.driving_systems import users_part
 from brink.server.problems.requirements import ANY
 from brink.server.states import CampaignStatus, OutcomeKind
 
@@ -184,12 +184,12 @@ def _followed(connection: Connection, campaign: Campaign) -> FollowedView | None
 
 def _not_the_same(connection: Connection, campaign: Campaign) -> str:
     """Return how many drives were not the same when they were driven again; empty if all were."""
-    params = campaign.body.problem.params
-    again, differ = (0, 0) if drives_itself(params) else driven_again(connection, campaign.id)
+    part = users_part(campaign.body.problem.params)
+    again, differ = driven_again(connection, campaign.id) if part else (0, 0)
     if not differ:
         return ""
     return (
-        f"{differ:,} of {again:,} drives that were driven again had another result: {params['driving']} is not "
+        f"{differ:,} of {again:,} drives that were driven again had another result: {part} is not "
         "deterministic, so nothing found here can be relied on"
     )
 

@@ -47,6 +47,18 @@ def drives_itself(params: Mapping[str, Any]) -> bool:
     return bool(params.get("driving", OWN) == OWN)
 
 
+def users_part(params: Mapping[str, Any]) -> str:
+    """Return what of a user runs in every simulation: a driving system or a program; empty if nothing does.
+
+    Args:
+        params: Parameters of a problem.
+    """
+    if not drives_itself(params):
+        return str(params["driving"])
+    command = params.get("command")
+    return str(command[0]) if isinstance(command, list) and command else ""
+
+
 def driving_params(params: Mapping[str, Any]) -> dict[str, Any]:
     """Return the parameters that give another problem the same driving system; none for Brink's own.
 

@@ -50,3 +50,20 @@ def test_a_program_in_another_language_takes_the_seed(
     with (tmp_path / "files" / "platoon").open("ab") as program:
         program.write(b"rebuilt")
     assert read_campaign_file(tmp_path / "files" / "campaign.yaml").document_hash() != before
+
+
+def test_a_program_that_gives_other_results_for_the_same_seed_is_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    script = "import os\nopen('log.csv', 'w').write(f'time,x\\n0,{os.urandom(4)[0] - 128.5}\\n')"
+    (tmp_path / "run.py").write_text(script)
+    params = {
+        "command": ["python3", "run.py", "{x}"],
+        "copies": ["run.py"],
+        "space": {"scenario": {"x": {"min": 0, "max": 1}}},
+        "signals": {"file": "log.csv"},
+        "requirements": {"positive": {"signal": "x", "above": 0}},
+    }
+    campaign = brink.Campaign(problem="command@1", algorithm="random@1", simulations=8, problem_params=params)
+    assert "python3 is not deterministic" in brink.run(campaign, progress=False).finding
