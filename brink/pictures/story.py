@@ -471,7 +471,8 @@ def unit_of(trace: Trace, requirement: str) -> str:
 
 def _stated(trace: Trace, requirement: str) -> Mapping[str, Json]:
     """Return what a campaign states about a requirement of its own: formula and unit."""
-    stated = spec_part(trace, "formulas").get(requirement)
+    known = spec_part(trace, "formulas") or spec_part(trace, "options").get("requirements")
+    stated = known.get(requirement) if isinstance(known, Mapping) else None
     return stated if isinstance(stated, Mapping) else {}
 
 

@@ -131,7 +131,12 @@ def _panels(side: Recorded, requirements: Mapping[str, Mapping[str, Any]]) -> li
             )
         elif name in side.margins:
             panels.append(
-                _Panel(name=name, label=f"{name}: robustness{unit}", requirement=name, limits=(0.0,))
+                _Panel(
+                    name=name,
+                    label=f"{name}: {stated.get('stl', 'robustness')}{unit}",
+                    requirement=name,
+                    limits=(0.0,),
+                )
             )
     drawn = {panel.name for panel in panels}
     panels += [_Panel(name=name, label=name) for name in side.signals if name not in drawn]

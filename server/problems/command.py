@@ -17,7 +17,7 @@ from brink.search.space import SearchSpace
 from brink.server.problems.base import Vectors
 from brink.server.problems.plain_values import PlainValues
 from brink.sim.adapters.command.definition import Definition
-from brink.sim.adapters.command.requirement import RequirementError, SignalRequirement
+from brink.sim.adapters.command.requirement import RequirementError, requirement_of
 from brink.sim.adapters.command.signals import SignalError, SignalSource
 from brink.sim.adapters.command.simulator import install
 from brink.sim.episode import EpisodeSpec
@@ -70,7 +70,9 @@ class CommandParams:
     )
     requirements: dict[str, Any] = field(
         default_factory=lambda: _EXAMPLE["requirements"],
-        metadata={"help": "Requirements by name, each {signal, above or below, unit}; all must hold."},
+        metadata={
+            "help": "Requirements by name, {signal, above or below, unit} or a formula {stl, unit}; all must hold."
+        },
     )
     timeout_s: float = setting(60.0, help="Wall-clock limit of an episode.", gt=0.0, le=86_400.0, unit="s")
 
@@ -86,7 +88,7 @@ class CommandParams:
             )
         for name, stated in self.requirements.items():
             try:
-                SignalRequirement.of(stated)
+                requirement_of(stated)
             except RequirementError as error:
                 raise ConfigError("requirements", f"{name}: {error}") from None
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from brink.sim.adapters.command.requirement import SignalRequirement
+from brink.sim.adapters.command.requirement import Requirement
 from brink.sim.adapters.command.signals import FloatArray, SignalSource
 from brink.sim.episode import Verdict
 from brink.sim.programs import Ending
@@ -30,5 +30,5 @@ class Attempt:
     source: SignalSource
     time_s: FloatArray
     signals: Mapping[str, FloatArray]
-    requirements: Mapping[str, SignalRequirement]
+    requirements: Mapping[str, Requirement]
     verdicts: Mapping[str, Verdict]

@@ -2,15 +2,20 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Final, Self, TypeAlias
 
 import numpy as np
 
+from brink.formula import FormulaError
 from brink.sim.adapters.command.signals import FloatArray
 from brink.sim.episode import Json, Verdict
+from brink.sim.formula_requirement import StatedFormula
 
 _FIELDS: Final = ("signal", "above", "below", "unit")
 MAX_UNIT_CHARS: Final = 16
+
+
+Requirement: TypeAlias = "SignalRequirement | StatedFormula"
 
 
 class RequirementError(ValueError):
@@ -79,3 +84,17 @@ class SignalRequirement:
             unit=self.unit,
             violated_at_s=max(0.0, float(time_s[violated[0]])) if violated.size else None,
         )
+
+
+def requirement_of(document: Json) -> Requirement:
+    """Return the requirement that a campaign states: limits on a signal, or a formula over several.
+
+    Raises:
+        RequirementError: It is malformed.
+    """
+    if not isinstance(document, Mapping) or "stl" not in document:
+        return SignalRequirement.of(document)
+    try:
+        return StatedFormula.of(document)
+    except FormulaError as error:
+        raise RequirementError(str(error)) from None

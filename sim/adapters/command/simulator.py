@@ -18,7 +18,7 @@ import yaml
 from brink.sim.adapters.command.attempt import Attempt
 from brink.sim.adapters.command.definition import FIELDS, SEED, Definition, with_contents
 from brink.sim.adapters.command.recording import trace_of
-from brink.sim.adapters.command.requirement import RequirementError, SignalRequirement
+from brink.sim.adapters.command.requirement import Requirement, RequirementError, requirement_of
 from brink.sim.adapters.command.signals import SignalError, SignalSource
 from brink.sim.catalogue import SIMULATORS, register
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
@@ -219,7 +219,7 @@ class CommandSimulator:
 
 def signals_of(
     options: Mapping[str, Json], names: tuple[str, ...]
-) -> tuple[SignalSource, dict[str, SignalRequirement]]:
+) -> tuple[SignalSource, dict[str, Requirement]]:
     """Return where the signals of an episode stand, and its requirements.
 
     Args:
@@ -233,8 +233,7 @@ def signals_of(
     try:
         source = SignalSource.of(options.get("signals"))
         return source, {
-            name: SignalRequirement.of(stated.get(name) if isinstance(stated, dict) else None)
-            for name in names
+            name: requirement_of(stated.get(name) if isinstance(stated, dict) else None) for name in names
         }
     except (SignalError, RequirementError) as error:
         raise InvalidEpisode(f"options: {error}") from None

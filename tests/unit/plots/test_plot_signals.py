@@ -28,7 +28,7 @@ def test_both_sides_share_an_axis_with_the_threshold_and_the_moment_of_the_viola
     sides = [side("safe", "blue", {}), side("unsafe", "red", {"keep-gap": 3.0})]
     gap, smooth, speed = figure_signals(sides, REQUIREMENTS, "a pair", "its facts").axes
     titles = [axes.get_title(loc="left") for axes in (gap, smooth, speed)]
-    assert titles == ["keep-gap: gap_m (m)", "smooth: robustness (m/s3)", "speed_mps"]
+    assert titles == ["keep-gap: gap_m (m)", "smooth: always abs(jerk) < 2 (m/s3)", "speed_mps"]
     lines = [(line.get_color(), *np.array(line.get_data())[:, :2].tolist()) for line in gap.lines]
     assert ("blue", [0.0, 0.5], [4.0, 3.5]) in lines
     assert ("red", [0.0, 0.5], [4.0, 3.5]) in lines

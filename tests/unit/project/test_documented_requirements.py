@@ -81,7 +81,7 @@ def _text(file: Path) -> str:
 def test_the_page_on_formulas_lists_every_signal_and_those_that_simulators_lack() -> None:
     page = (ROOT / "docs" / "reference" / "formulas.md").read_text(encoding="utf-8")
     table, lacking = page.partition("\n## Signals\n")[2].split("\nDistances count")
-    lacking = lacking.partition("In `gymnasium@1`")[0]
+    lacking = lacking.partition("Signals of [`command@1`]")[0]
     rows = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
     assert re.findall(r"`(\w+)`", "".join(rows)) == sorted(SIGNALS, key=table.index)
     sumo, highway = lacking.split("highway-env")

@@ -5,11 +5,13 @@ import math
 import os
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from brink.pictures.story import story_of
 from brink.sim.adapters.command import simulator as module
 from brink.sim.adapters.command.definition import Definition, with_contents
 from brink.sim.adapters.command.signals import SignalError, SignalSource
@@ -69,6 +71,26 @@ def test_the_verdict_is_the_smallest_margin_with_the_time_of_the_first_violation
     held, violated = run(definition_of()).verdicts["high"], run(definition_of(), -1.25).verdicts["high"]
     assert (held.robustness, held.unit, held.violated_at_s) == (3.5, "m", None)
     assert (violated.robustness, violated.violated_at_s) == (-1.0, 1.0)
+
+
+def test_a_formula_over_several_signals_gives_the_verdict() -> None:
+    def verdict(x: float, stl: str) -> tuple[float, str, float | None]:
+        simulator = CommandSimulator(definition_of(), "0")
+        spec = spec_of(simulator, {"x": x})
+        options = {**spec.options, "requirements": {"high": {"stl": stl, "unit": "m"}}}
+        result = simulator.run(replace(spec, options=options), record=True)
+        found = result.verdicts["high"]
+        assert result.trace is not None
+        assert story_of(Trace.from_bytes(result.trace)).formula == stl
+        return found.robustness, found.unit, found.violated_at_s
+
+    stl = "always (twice > 4 or eventually[0:1] x > 3)"
+    assert verdict(3.5, stl) == (0.5, "m", None)
+    assert verdict(1.5, stl) == (-1.5, "m", 1.0)
+    with pytest.raises(SimulationCrashed, match="ended, but 'x / x > 1': not a number 1 s after"):
+        verdict(0.0, "always x / x > 1")
+    with pytest.raises(InvalidEpisode, match=r"options: .*character 8: expected"):
+        verdict(1.0, "always >")
 
 
 def test_placeholders_are_filled_and_escaped_by_the_ending_of_the_file() -> None:
