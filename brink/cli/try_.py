@@ -72,6 +72,7 @@ def try_(
     screen = console()
     shown = ", ".join(f"{name}={value}" for part in chosen.values() for name, value in part.items())
     screen.print(f"values: {shown}; seed {seed}", soft_wrap=True, markup=False)
+    screen.print(f"program: {problem.params.program}", soft_wrap=True, markup=False)
     screen.print(f"folder: {folder.absolute()}", soft_wrap=True, markup=False)
     simulator = CommandSimulator(problem.definition, problem.params.program)
     try:

@@ -1,5 +1,6 @@
 """`brink try`: one episode of a command."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,7 @@ def test_an_episode_shows_its_command_folder_signals_and_verdicts(in_folder: Pat
     status, text = tried(str(FILE), "--set", "delay=1.8", "--set", "scenario.gap=15", "--set", "road=wet")
     assert status == 0
     assert "cut_in.py 1.8" in text
+    assert re.search("program: [0-9a-f]{64} ", text)
     assert "ego_speed=22.5, gap=15, road=wet, delay=1.8" in text
     assert "keep-gap: violated at 1.82 s, robustness -1.149 m" in text
     assert "gave the same signals" in text
