@@ -25,7 +25,9 @@ from brink.cli.options import (
 )
 from brink.cli.recording_options import GivenRecording, RecordingOptions, with_recording
 from brink.recordings.reading import formats_by_name
-from brink.report.tolerance import requirement_document
+from brink.report.tables import markdown_rows
+from brink.report.tolerance import requirement_document, tolerances_beside
+from brink.server.api.schemas import CampaignView
 from brink.server.errors import InvalidInput
 from brink.server.findings.tolerances.views import AgreementView, ToleranceView
 
@@ -62,6 +64,16 @@ def tolerance(
             show_default=False,
             callback=check_ids,
             help="Compare with the fresh drives of another campaign instead: does it find what these predict?",
+        ),
+    ] = None,
+    beside: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ID",
+            show_default=False,
+            callback=check_ids,
+            help="Show the tolerances of another campaign beside, such as one with another driving system; may be "
+            "repeated.",
         ),
     ] = None,
     episodes: Annotated[
@@ -124,6 +136,8 @@ def tolerance(
 
     Example: brink tolerance 3f2a --against 9c01
 
+    Example: brink tolerance 3f2a --beside 77d0 --beside 91bc --out planners.md
+
     Example: brink tolerance 3f2a --detections det/ --truth label_02/ --calibration camera.yaml --out check.html
 
     Example: brink tolerance 3f2a --episodes 9c01 --gate
@@ -135,8 +149,13 @@ def tolerance(
         detections, forms = coco[1], [*(forms or ()), "coco"]
     given = [
         name
-        for name, value in (("--against", against), ("--episodes", episodes), ("--detections", detections))
-        if value is not None
+        for name, value in (
+            ("--against", against),
+            ("--beside", beside),
+            ("--episodes", episodes),
+            ("--detections", detections),
+        )
+        if value
     ]
     if len(given) > 1:
         raise InvalidInput.at(given[1], f"cannot be combined with {given[0]}")
@@ -159,6 +178,9 @@ def tolerance(
         detections is not None and form is Format.HTML, "--detections and a page", {"--images": images}
     )
     wanted = Output(form=form, out=out, picture=picture)
+    if beside:
+        _show_beside(list(dict.fromkeys([campaign, *beside])), wanted, server, database)
+        return
     if detections is not None:
         files = GivenRecording.of(detections, recording_format, recording)
         check: Check = RecordingCheck(campaign, files, thresholds, images, wanted)
@@ -234,6 +256,35 @@ def _show(campaign: str, wanted: Output, server: str | None, database: str | Non
                 )
             case Format.CSV:
                 wanted.write((await api.request("GET", path, params={"format": "csv"})).content.decode())
+        wanted.name_files()
+
+    with_api(server, database, work)
+
+
+def _show_beside(campaigns: Sequence[str], wanted: Output, server: str | None, database: str | None) -> None:
+    """Print or write the tolerances of campaigns side by side, named by their driving systems if these differ."""
+    if wanted.picture is not None:
+        raise InvalidInput.at("--picture", "cannot be combined with --beside")
+
+    async def work(api: Api) -> None:
+        views = [await api.read(ToleranceView, f"/campaigns/{one}/tolerance") for one in campaigns]
+        bodies = [(await api.read(CampaignView, f"/campaigns/{one}")).body for one in campaigns]
+        names = [str(body.problem.params.get("driving", "")) for body in bodies]
+        if len(set(names)) < len(names):
+            names = [f"{body.name} ({view.campaign})" for body, view in zip(bodies, views, strict=True)]
+        table, words = tolerances_beside(dict(zip(names, views, strict=True)))
+        match wanted.form:
+            case Format.JSON:
+                wanted.write_json({"words": words, "cells": table.records()})
+            case Format.CSV:
+                wanted.write(table.to_bytes("csv").decode())
+            case Format.MARKDOWN:
+                wanted.write("\n".join([*markdown_rows(table), "", f"{words}.", ""]))
+            case Format.TABLE:
+                print_table(console(), table)
+                console().print(f"{words}.", soft_wrap=True)
+            case _:
+                raise InvalidInput.at("--format", "expected table, csv, json or md with --beside")
         wanted.name_files()
 
     with_api(server, database, work)

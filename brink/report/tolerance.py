@@ -1,9 +1,15 @@
 """The requirement that follows from tolerances, as a document in Markdown."""
 
+import math
+from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import Final
 
 from brink.report.text import table_row
-from brink.server.findings.tolerances.views import ToleranceView, Tolerated
+from brink.server.errors import InvalidInput
+from brink.server.findings.table import Column, Table
+from brink.server.findings.tolerances.views import CellView, ToleranceView, Tolerated
+from brink.server.findings.words import counted
 
 
 def requirement_document(view: ToleranceView, picture: str | None = None) -> str:
@@ -55,6 +61,65 @@ def requirement_document(view: ToleranceView, picture: str | None = None) -> str
         "them violated.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def tolerances_beside(views: Mapping[str, ToleranceView]) -> tuple[Table, str]:
+    """Return the tolerances of several campaigns side by side, and a sentence on where they differ.
+
+    Args:
+        views: At least two, by what stands above their columns. The first decides which cells there are.
+
+    Raises:
+        InvalidInput: They do not answer the same question, or have no cell in common.
+    """
+    first, *others = views.values()
+    for one in others:
+        for what in ("requirements", "limit", "confidence"):
+            if getattr(one, what) != getattr(first, what):
+                raise InvalidInput.at(
+                    "--beside",
+                    f"campaign {one.campaign}: expected the same {what} as campaign {first.campaign}, "
+                    f"{getattr(first, what)}; got {getattr(one, what)}",
+                )
+    known = [{_key(cell): cell for cell in one.cells} for one in views.values()]
+    shared = [key for key in known[0] if all(key in cells for cells in known)]
+    if not shared:
+        raise InvalidInput.at(
+            "--beside", "these campaigns have no type of error, target and condition in common"
+        )
+    rows = [[cells[key] for cells in known] for key in shared]
+    measured = [row for row in rows if all(cell.basis for cell in row)]
+    apart = sum(_are_apart(row) for row in measured)
+    table = Table(
+        name="beside",
+        title="Tolerated magnitude of each error",
+        columns=[
+            Column(name="error", title="error"),
+            Column(name="condition", title="condition"),
+            *(Column(name=name, title=f"{name}, {first.confidence:.0%} interval") for name in views),
+        ],
+        rows=[[row[0].error, row[0].condition, *(cell.tolerated_words for cell in row)] for row in rows],
+    )
+    return table, (
+        f"In {apart:,} of {counted(len(measured), 'cell')} that all of them measured, the {first.confidence:.0%} "
+        "intervals of at least two do not overlap"
+    )
+
+
+def _key(cell: CellView) -> tuple[str, tuple[tuple[str, str], ...]]:
+    return cell.condition, tuple(sorted(cell.choices.items()))
+
+
+def _are_apart(row: Sequence[CellView]) -> bool:
+    """Return whether the intervals of two cells do not overlap; an end beyond the scale is infinite."""
+    ends = [
+        [
+            math.inf if end.severity is None else end.severity
+            for end in (one.tolerated.low, one.tolerated.high)
+        ]
+        for one in row
+    ]
+    return any(max(a[0], b[0]) > min(a[1], b[1]) for a, b in combinations(ends, 2))
 
 
 _SCREENING: Final = (

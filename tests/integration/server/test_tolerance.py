@@ -339,6 +339,7 @@ def test_commands_show_write_and_draw_tolerances(service: Service, database: str
     assert len(table.read_text().splitlines()) == 9
     assert picture.stat().st_size > 20_000
     assert len(json.loads(tolerance("--json"))["cells"]) == 8
+    assert "intervals of at least two do not overlap" in tolerance("--beside", service.fresh)
     document = tmp_path / "requirement.md"
     tolerance("--out", str(document))
     text = document.read_text()
@@ -367,6 +368,7 @@ def test_commands_show_write_and_draw_tolerances(service: Service, database: str
         (["--out", "requirement.txt"], "ends in .csv, .json or .md"),
         (["--json", "--format", "csv"], "cannot be combined with --format"),
         (["--against", "3f2a", "--episodes", "9c01"], "cannot be combined with --against"),
+        (["--beside", "9c01", "--picture", "curves.png"], "cannot be combined with --beside"),
         (["--picture", "curves.gif"], "ends in .png, .svg or .pdf"),
     ],
 )
