@@ -12,6 +12,7 @@ from rich.console import Console
 from brink.api.client import Api
 from brink.api.follow_ups import OPEN, follow_up_options, follow_up_requests
 from brink.api.terminal import echo
+from brink.cli.changed_pairs import ChangedPairs
 from brink.cli.findings import show_kind
 from brink.cli.follow_ups import run_follow_ups
 from brink.cli.local import run_locally
@@ -26,6 +27,7 @@ from brink.cli.options import (
     Workers,
     check_out,
     console,
+    named_values,
     print_json,
     program,
     settings_with,
@@ -106,6 +108,16 @@ def pairs(
         typer.Option(metavar="N FILE", show_default=False, help="Film both drives of pair N (.mp4 or .gif)."),
     ] = None,
     confirm: ConfirmPairs = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            show_default=False,
+            help="With --confirm: simulate both sides with another value of a parameter of the problem, such as "
+            "driving=idm:Idm, as a campaign of its own; may be repeated.",
+        ),
+    ] = None,
     component: WithGroundTruth = False,
     minimise: Annotated[
         bool,
@@ -141,6 +153,8 @@ def pairs(
 
     Example: brink pairs 3f2a --sharpen --limit 10
 
+    Example: brink --plugin idm pairs 3f2a --confirm 30 --set driving=idm:Idm
+
     Example: brink pairs 3f2a --out pairs.jsonl
 
     Example: brink pairs 3f2a --picture 1 pair.png --film 1 pair.mp4
@@ -156,6 +170,33 @@ def pairs(
         check_out(path, *endings, option=option)
 
     given = {name: value for name, value in settings.items() if value is not None}
+    if changes:
+        chosen = [
+            name
+            for name, one in (
+                ("--component", component),
+                ("--minimise", minimise),
+                ("--sharpen", sharpen),
+                ("--out", out),
+                ("--format", form),
+                ("--picture", picture),
+                ("--film", film),
+            )
+            if one
+        ]
+        if chosen or confirm is None:
+            expected = (
+                "requires --confirm" if confirm is None else f"cannot be combined with {' and '.join(chosen)}"
+            )
+            raise InvalidInput.at("--set", expected)
+        changed = ChangedPairs(
+            campaign,
+            lambda api: fetch_asked(api, campaign, limit, **given),
+            named_values("--set", changes, "driving=idm:Idm"),
+            confirm,
+            console(stderr=as_json),
+        )
+        raise typer.Exit(int(not changed.run(workers, database, server, as_json=as_json)))
     asked = follow_up_requests(
         given, confirm, component=component, minimise=minimise, sharpen=sharpen, limit=limit
     )

@@ -73,19 +73,19 @@ class StoredFollowUp(FollowUp):
 
 
 def follow_up_body(
-    campaign: Campaign, plan: Plan, what: str, algorithm: str, simulations: int, params: Mapping[str, Any]
+    body: CampaignBody, plan: Plan, what: str, algorithm: str, simulations: int, params: Mapping[str, Any]
 ) -> CampaignBody:
     """Return the body of a follow-up, with the problem and the seed of its campaign.
 
     Args:
-        campaign: The campaign.
+        body: The campaign.
         plan: Its plan.
         what: What the follow-up simulates, in a few words; ends its name.
         algorithm: Id of its algorithm.
         simulations: Its budget.
         params: Settings of its algorithm beside the neighbourhood, which is that of the campaign.
     """
-    body, near = campaign.body, plan.neighbourhood
+    near = plan.neighbourhood
     return CampaignBody(
         name=f"{body.name[: _NAME_LENGTH - len(what) - 2]}: {what}",
         problem=body.problem,

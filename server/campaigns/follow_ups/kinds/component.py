@@ -58,7 +58,7 @@ class Component(Question):
             "seed_numbers": seed_numbers(campaign, numbers, seeds),
         }
         what = f"{len(numbers)} unsafe drive{'s' if len(numbers) > 1 else ''} with ground truth"
-        body = follow_up_body(campaign, asked.plan, what, Repeats.id, len(numbers), params)
+        body = follow_up_body(campaign.body, asked.plan, what, Repeats.id, len(numbers), params)
         asks = FollowUp(of_id=campaign.id, kind=self.kind, selection=Selection.PAIRS, numbers=tuple(numbers))
         return PlannedFollowUp(
             asks=asks, campaign=prepare_campaign(body.model_copy(update={"ground_truth": True}))

@@ -25,6 +25,7 @@ from brink.search.analysis.confirmation import Confirmation, Share, confirmation
 from brink.search.archive import Archive
 from brink.search.errors import BoundaryTooLarge
 from brink.search.streams import Stream, generator
+from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.follow_ups.follow_up import (
     MOST,
     FollowUp,
@@ -125,7 +126,10 @@ def plan_boundary_repeats(
         repeats=repeats,
         numbers=tuple(archive.numbers[chosen].tolist()),
     )
-    return _prepare(campaign, plan, archive, chosen, asks, "boundary again", (repeats,))
+    body = _repeats_body(
+        campaign.body, plan, archive, chosen, asks.selection, repeats, "boundary again", (repeats,)
+    )
+    return PlannedFollowUp(asks=asks, campaign=prepare_campaign(body))
 
 
 def plan_named_repeats(
@@ -161,39 +165,64 @@ def plan_named_repeats(
             )
             for index, number in unknown[:_MOST_ERRORS]
         )
-    named = np.array([places[number] for number in numbers], np.intp)
-    chosen = named[np.lexsort((archive.numbers[named], archive.fitness[named]))]
-    ordered = tuple(archive.numbers[chosen].tolist())
+    body, ordered = named_repeats_body(
+        campaign.body, plan, archive, repeats=repeats, numbers=numbers, selection=selection
+    )
     asks = FollowUp(
         of_id=campaign.id, kind=FollowUpKind.CONFIRM, selection=selection, repeats=repeats, numbers=ordered
     )
+    return PlannedFollowUp(asks=asks, campaign=prepare_campaign(body))
+
+
+def named_repeats_body(
+    body: CampaignBody,
+    plan: Plan,
+    archive: Archive,
+    *,
+    repeats: int,
+    numbers: Sequence[int],
+    selection: Selection,
+) -> tuple[CampaignBody, tuple[int, ...]]:
+    """Return the campaign that repeats evaluated solutions of another one, and their numbers in its order.
+
+    Args:
+        body: The other campaign.
+        plan: Its plan.
+        archive: Its archive.
+        repeats: Simulations of each solution.
+        numbers: Distinct numbers in any order, at most `MOST`.
+        selection: How they were chosen; see `plan_named_repeats`.
+    """
+    named = np.flatnonzero(np.isin(archive.numbers, list(numbers)))
+    chosen = named[np.lexsort((archive.numbers[named], archive.fitness[named]))]
+    ordered = tuple(archive.numbers[chosen].tolist())
     # With the seed of other repeats, some of these would be the same episodes.
     index = (repeats, *sorted(ordered), *([len(ordered), 1] if selection is Selection.PAIRS else []))
     again = f"solution {ordered[0]} again" if len(ordered) == 1 else f"{len(ordered)} solutions again"
-    return _prepare(campaign, plan, archive, chosen, asks, again, index)
+    return _repeats_body(body, plan, archive, chosen, selection, repeats, again, index), ordered
 
 
-def _prepare(
-    campaign: Campaign,
+def _repeats_body(
+    body: CampaignBody,
     plan: Plan,
     archive: Archive,
     chosen: NDArray[np.intp],
-    asks: FollowUp,
+    selection: Selection,
+    repeats: int,
     again: str,
     index: tuple[int, ...],
-) -> PlannedFollowUp:
-    """Prepare the campaign that repeats solutions, given as positions in the archive.
+) -> CampaignBody:
+    """Return the campaign that repeats solutions, given as positions in the archive.
 
     Its seed is that of the stream of repeats at `index`: with the campaign's own seed, the first repeats would be the
     same episodes as the campaign's.
     """
     params = {"solutions": archive.vectors[chosen].tolist()}
-    if asks.selection is Selection.PAIRS:
+    if selection is Selection.PAIRS:
         params["keep"] = archive.unsafe[chosen].tolist()
-    assert asks.repeats is not None
-    body = follow_up_body(campaign, plan, again, Repeats.id, asks.repeats * len(chosen), params)
-    seed = int(generator(campaign.body.seed, Stream.REPEATS, *index).integers(2**53))
-    return PlannedFollowUp(asks=asks, campaign=prepare_campaign(body.model_copy(update={"seed": seed})))
+    again_body = follow_up_body(body, plan, again, Repeats.id, repeats * len(chosen), params)
+    seed = int(generator(body.seed, Stream.REPEATS, *index).integers(2**53))
+    return again_body.model_copy(update={"seed": seed})
 
 
 def drives_of(repeats: StoredFollowUp) -> list[tuple[int, bool | None]]:
@@ -201,12 +230,21 @@ def drives_of(repeats: StoredFollowUp) -> list[tuple[int, bool | None]]:
 
     The verdict says whether it was unsafe; None if it failed.
     """
-    ended, count = repeats.verdicts, len(repeats.numbers)
-    params = repeats.campaign.body.algorithm.params
+    return drives_by_solution(repeats.campaign.body, repeats.verdicts)
+
+
+def drives_by_solution(body: CampaignBody, ended: Mapping[int, bool | None]) -> list[tuple[int, bool | None]]:
+    """Return the position, among the given solutions, and the verdict of each finished simulation of repeats.
+
+    Args:
+        body: The campaign that repeats solutions.
+        ended: Whether each of its candidates that has ended was unsafe, by number; None if it failed.
+    """
+    params, budget = body.algorithm.params, body.budget.simulations
     keep, size = params.get("keep"), params.get("generation_size", GENERATION_SIZE)
     if not keep:
-        return [(number % count, unsafe) for number, unsafe in ended.items()]
-    places = dict(enumerate(schedule(keep, ended, repeats.campaign.budget, size)))
+        return [(number % len(params["solutions"]), unsafe) for number, unsafe in ended.items()]
+    places = dict(enumerate(schedule(keep, ended, budget, size)))
     return [(places[number], unsafe) for number, unsafe in ended.items() if number in places]
 
 

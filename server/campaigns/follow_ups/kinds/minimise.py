@@ -80,7 +80,7 @@ class Minimisation(Question):
             "seed_numbers": seed_numbers(campaign, numbers[1::2], seeds),
         }
         what = f"{len(open_pairs)} pair{'s' if len(open_pairs) > 1 else ''} minimised"
-        body = follow_up_body(campaign, asked.plan, what, Minimise.id, most_trials(reduced), params)
+        body = follow_up_body(campaign.body, asked.plan, what, Minimise.id, most_trials(reduced), params)
         asks = FollowUp(of_id=campaign.id, kind=self.kind, selection=Selection.PAIRS, numbers=numbers)
         return PlannedFollowUp(asks=asks, campaign=prepare_campaign(body))
 

@@ -71,7 +71,7 @@ class Sharpening(Question):
             "generation_size": _A_HUNT * len(pairs),
         }
         what = f"{len(pairs)} pair{'s' if len(pairs) > 1 else ''} sharpened"
-        body = follow_up_body(campaign, asked.plan, what, Sharpen.id, _most(asked, pairs), params)
+        body = follow_up_body(campaign.body, asked.plan, what, Sharpen.id, _most(asked, pairs), params)
         seed = int(generator(campaign.body.seed, Stream.REPEATS, *numbers, 0, len(numbers)).integers(2**53))
         asks = FollowUp(of_id=campaign.id, kind=self.kind, selection=Selection.PAIRS, numbers=numbers)
         return PlannedFollowUp(asks=asks, campaign=prepare_campaign(body.model_copy(update={"seed": seed})))
