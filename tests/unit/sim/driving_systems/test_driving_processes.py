@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -18,8 +18,10 @@ from support.running import assert_gone, new_mark, running
 
 from brink.sim import catalogue
 from brink.sim.catalogue import PLUGINS_VARIABLE
+from brink.sim.driving_systems import EgoState, LightReading, LightState, Observation, Start
 from brink.sim.driving_systems.command import Definition, end_processes, install, process_of
 from brink.sim.driving_systems.option import DrivingOption
+from brink.sim.driving_systems.protocol import step_message
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.errors import DefinitionError, InvalidEpisode, SimulationCrashed, SimulatorError
 from brink.sim.programs.installed import COMMANDS_VARIABLE
@@ -163,18 +165,23 @@ def test_a_program_that_prints_and_answers_in_time_drives_as_the_decisions_say(t
         end_processes()
 
 
-def test_a_start_has_all_that_the_reference_lists(tmp_path: Path) -> None:
+def test_start_and_step_have_all_fields(tmp_path: Path) -> None:
     BrinkDrive().run(drive(definition(tmp_path, "start", str(tmp_path / "start")), 0.1, headway_s=1.5))
     (start,) = json.loads((tmp_path / "start.json").read_text()).values()
-    assert start.keys() == {
-        *("interface", "route", "car", "camera", "control_s", "perception_s", "settings", "seed")
-    }
+    assert start.keys() == {field.name for field in fields(Start)}
     assert start["settings"] == {"headway_s": 1.5}
     assert start["route"].keys() == {
         *("start_pose", "pieces", "length_m", "lane_width_m", "speed_limit_mps"),
         *("stop_line_stations_m", "oncoming", "crossings"),
     }
     assert start["route"]["oncoming"][0][0] == -20.0
+    ego = EgoState(*map(float, range(7)))
+    light = LightReading(LightState.RED, 30.25)
+    seen = Observation(time_s=0.1 + 0.2, ego=ego, boxes=(), light=light, objects=None)
+    (step,) = json.loads(step_message(seen)).values()
+    assert step.keys() == {field.name for field in fields(Observation)}
+    assert (step["time_s"], step["light"]) == (0.1 + 0.2, {"state": "red", "stop_line_station_m": 30.25})
+    assert step["ego"] == ego._asdict()
 
 
 def test_nothing_that_a_driving_system_started_stays(tmp_path: Path) -> None:
