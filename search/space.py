@@ -676,7 +676,7 @@ class SearchSpace:
         for component, part in zip(self.components, self.slices, strict=True):
             if not changed.isdisjoint(range(part.start, part.stop)):
                 repaired[part] = component.repair(row[part], rng)
-        return repaired
+        return repaired if self._feasible is None else self._feasible.repaired(repaired)
 
     def check(self, vectors: Sequence[FloatArray]) -> None:
         """Check that a complete solution is valid.
