@@ -2,7 +2,7 @@
 
 The distance has two terms of equal weight: the mean difference of the numbers, each divided by its range, and the
 share of categories that differ. If there are only numbers or only categories, it is that term alone. It lies in
-[0, 1] for values in their ranges.
+[0, 1] for values in their ranges. A parameter that only one of two solutions has differs by its whole range.
 
 The distance of a pair is symmetric and depends on that pair alone, bit for bit: not on the other rows of the call,
 nor on block sizes. Every sum therefore adds the parameters in the order of the vector. scipy's city-block kernel
@@ -67,16 +67,20 @@ class Metric:
     Attributes:
         ranges: Range of each parameter, > 0 for numbers, shape ``(d,)``.
         categorical: Which parameters are categorical, shape ``(d,)``.
+        absent: What is stored for each parameter where it is absent, NaN if it is always present, shape ``(d,)``.
     """
 
     ranges: FloatArray
     categorical: BoolArray
+    absent: FloatArray
     _numeric: NDArray[np.intp] = field(init=False, repr=False)
     _categories: NDArray[np.intp] = field(init=False, repr=False)
 
-    def __init__(self, ranges: ArrayLike, categorical: ArrayLike) -> None:
+    def __init__(self, ranges: ArrayLike, categorical: ArrayLike, absent: ArrayLike | None = None) -> None:
         object.__setattr__(self, "ranges", frozen_array(ranges))
         object.__setattr__(self, "categorical", frozen_array(categorical, np.bool_))
+        always = np.full(self.ranges.shape, np.nan)
+        object.__setattr__(self, "absent", always if absent is None else frozen_array(absent))
         if self.ranges.ndim != 1 or self.ranges.shape != self.categorical.shape or not self.ranges.size:
             raise SpaceError(
                 f"expected one range and one flag per parameter, got {self.ranges.shape}, {self.categorical.shape}"
@@ -90,13 +94,13 @@ class Metric:
     @classmethod
     def of_space(cls, space: SearchSpace) -> Self:
         """Return the metric for complete solutions."""
-        return cls(space.ranges, space.categorical)
+        return cls(space.ranges, space.categorical, space.absent)
 
     @classmethod
     def of_component(cls, space: SearchSpace, index: int) -> Self:
         """Return the metric for vectors of one component."""
         part = space.slices[index]
-        return cls(space.ranges[part], space.categorical[part])
+        return cls(space.ranges[part], space.categorical[part], space.absent[part])
 
     @property
     def dimension(self) -> int:
@@ -115,9 +119,25 @@ class Metric:
         if not (np.isfinite(raw).all() and (np.abs(raw) < 2**15).all() and (raw == np.rint(raw)).all()):
             raise SpaceError("expected categories as whole numbers within ±32,767")
         return Points(
-            numbers=np.ascontiguousarray(rows[:, self._numeric] / self.ranges[self._numeric]),
+            numbers=np.ascontiguousarray(self._numbers(rows)),
             codes=np.ascontiguousarray(raw.astype(np.int16).T),
         )
+
+    def _numbers(self, rows: FloatArray) -> FloatArray:
+        """Return numbers divided by their ranges, with three columns in place of one that may be absent.
+
+        The city-block distance of ``(x, 1 - x, 1) / 2`` and the same of y is ``|x - y|``; that of either and of
+        zeros, for an absent number, is 1. So absence is a category of its own.
+        """
+        numbers: FloatArray = rows[:, self._numeric] / self.ranges[self._numeric]
+        absent = self.absent[self._numeric]
+        may_be = np.flatnonzero(~np.isnan(absent))
+        if not may_be.size:
+            return numbers
+        shares = numbers[:, may_be] - (absent / self.ranges[self._numeric])[may_be] - 1.0
+        present = rows[:, self._numeric[may_be]] != absent[may_be]
+        columns = [0.5 * np.where(present, one, 0.0) for one in (shares, 1.0 - shares, np.ones_like(shares))]
+        return np.concatenate([np.delete(numbers, may_be, axis=1), *columns], axis=1)
 
     def between(self, a_rows: FloatArray, b_rows: FloatArray) -> FloatArray:
         """Return the distances between two sets of rows, shapes ``(m, d)`` and ``(n, d)`` to ``(m, n)``.

@@ -63,7 +63,7 @@ class Steps:
 
     def apart(self, rows: FloatArray, others: FloatArray) -> FloatArray:
         """Return the distance of each row from the other row at its place, shapes ``(n, d)`` to ``(n,)``."""
-        gaps = np.abs(rows - others) / self.space.ranges
+        gaps = np.minimum(np.abs(rows - others) / self.space.ranges, 1.0)  # 1 if one of two is absent
         distances: FloatArray = (np.where(self.space.categorical, rows != others, gaps) * self._share).sum(
             axis=1
         )
@@ -71,7 +71,7 @@ class Steps:
 
     def lengths(self, a: FloatArray, b: FloatArray, units: Sequence[Unit]) -> FloatArray:
         """Return how much each unit adds to the distance between two rows, shape ``(len(units),)``."""
-        gaps = np.abs(a - b) / self.space.ranges
+        gaps = np.minimum(np.abs(a - b) / self.space.ranges, 1.0)
         gaps = np.where(self.space.categorical, (a != b).astype(float), gaps) * self._share
         return np.array([gaps[list(unit)].sum() for unit in units])
 

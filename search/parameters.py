@@ -31,6 +31,12 @@ Value: TypeAlias = float | int | str
 Values: TypeAlias = dict[str, float]
 """Stored values of a component's parameters, by name."""
 
+When: TypeAlias = tuple[tuple[str, tuple[str, ...]], ...]
+"""Categorical parameters of the same component, each with those of its choices with which a parameter is present."""
+
+ABSENT = "absent"
+"""What people read in place of the value of an absent parameter."""
+
 Limit: TypeAlias = float | int | str | list[str] | dict[str, float]
 """What an operational design domain limits a parameter to: one value, some choices, or ``{"min": …, "max": …}``."""
 
@@ -75,6 +81,10 @@ def check_name(what: str, name: object) -> None:
         raise SpaceError(
             f"{what}: expected a name of letters, digits, '_', '-' and '.', starting with a letter, got {name!r}"
         )
+
+
+def _described_when(when: When) -> dict[str, Any]:
+    return {"when": {label: list(choices) for label, choices in when}} if when else {}
 
 
 def _decimals(*numbers: float) -> int:
@@ -129,6 +139,7 @@ class Number:
         unit: ``px``, ``m/s``, …; empty for a dimensionless number.
         sigma: Standard deviation of the Gaussian mutation as stored, before rounding; by default a tenth of the
             range.
+        when: The choices of other parameters with which the number is present; see `When`. Otherwise it is `absent`.
         step: The values are `low` and those whole numbers of steps above it, up to `high`, which is one of them; None
             for every value in between.
         log: Whether the scale is logarithmic: equal factors count the same, and vectors hold natural logarithms.
@@ -145,6 +156,7 @@ class Number:
     high: float
     unit: str = ""
     sigma: float | None = None
+    when: When = field(default=(), kw_only=True)
     step: float | None = field(default=None, kw_only=True)
     log: bool = field(default=False, kw_only=True)
     title: str = field(default="", compare=False, repr=False, kw_only=True)
@@ -193,6 +205,11 @@ class Number:
             raise SpaceError(
                 f"{self.name}: expected a factor > 1 as resolution on a log scale, got {self.resolution!r}"
             )
+
+    @property
+    def absent(self) -> float:
+        """What is stored for an absent number: a value one range below the smallest one."""
+        return self.stored(self.low) - self.range
 
     def on_step(self, steps: int) -> float:
         """Return the number that many steps above `low`, with as many decimal places as these two have."""
@@ -372,6 +389,7 @@ class Number:
     def describe(self) -> dict[str, Any]:
         """Return name, type, range and unit as a JSON object, and an ODD and a resolution if there are any."""
         about = {"name": self.name, "type": self._type, "low": self.low, "high": self.high, "unit": self.unit}
+        about |= _described_when(self.when)
         if self.step is not None:
             about |= {"step": self.step}
         if self.log:
@@ -425,6 +443,8 @@ class Real(Number):
 
     def decode(self, value: float) -> Value:
         """Return the human-readable form of a stored value."""
+        if self.when and value == self.absent:
+            return ABSENT
         return _of_logarithm(value) if self.log else float(value)
 
 
@@ -476,7 +496,7 @@ class Integer(Number):
 
     def decode(self, value: float) -> Value:
         """Return the human-readable form of a stored value."""
-        return int(value)
+        return ABSENT if self.when and value == self.absent else int(value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -486,6 +506,7 @@ class Categorical:
     Attributes:
         name: Unique in its component.
         choices: One or more, all different.
+        when: The choices of other parameters with which it is present; see `When`. Otherwise it is `absent`.
         title: Display name; empty for the full name in words.
         allowed: The choices within an operational design domain (ODD), in their order; None without an ODD. Stored
             indices count all choices.
@@ -493,9 +514,11 @@ class Categorical:
 
     name: str
     choices: tuple[str, ...]
+    when: When = field(default=(), kw_only=True)
     title: str = field(default="", compare=False, repr=False, kw_only=True)
     allowed: tuple[str, ...] | None = field(default=None, repr=False, kw_only=True)
     codes: tuple[int, ...] = field(init=False, repr=False, compare=False)
+    absent: ClassVar[float] = -1.0
 
     def __post_init__(self) -> None:
         check_name("parameter", self.name)
@@ -532,7 +555,7 @@ class Categorical:
 
     def decode(self, value: float) -> Value:
         """Return the choice that a stored value stands for."""
-        return self.choices[int(value)]
+        return ABSENT if value == self.absent else self.choices[int(value)]
 
     def encode(self, value: object) -> float:
         """Return the stored form of a choice.
@@ -583,6 +606,7 @@ class Categorical:
     def describe(self) -> dict[str, Any]:
         """Return name, type and choices as a JSON object, and ``odd`` if there is a limit."""
         about = {"name": self.name, "type": "categorical", "choices": list(self.choices)}
+        about |= _described_when(self.when)
         return about if self.allowed is None else about | {"odd": self.odd}
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, TypeAlias
 
 from brink.search.errors import SpaceError
-from brink.search.parameters import Categorical, Integer, Parameter, Real, ResolutionByChoice
+from brink.search.parameters import Categorical, Integer, Parameter, Real, ResolutionByChoice, When
 from brink.search.space import Component, SearchSpace
 
 DeclaredSpace: TypeAlias = "SearchSpace | Sequence[Parameter] | Mapping[str, Any]"
@@ -24,7 +24,7 @@ _EXPECTED: Final = (
     "a resolution, whole numbers such as range(0, 5), choices such as ['dry', 'wet'], or a mapping such as "
     "{'min': 1e-6, 'max': 1, 'log': True}"
 )
-_NAMED: Final = frozenset({"min", "max", "step", "log", "unit", "resolution", "title"})
+_NAMED: Final = frozenset({"min", "max", "step", "log", "unit", "resolution", "title", "when"})
 """What the mapping of a number may name."""
 
 
@@ -106,8 +106,9 @@ def _parameter(name: str, declared: Any) -> Parameter:
 
 def _named_parameter(name: str, declared: Mapping[str, Any]) -> Parameter:
     """Return the parameter whose properties a mapping names."""
-    if set(declared) == {"values"} and isinstance(values := declared["values"], list):
-        return Categorical(name, tuple(map(str, values)))
+    when = _when(name, declared.get("when"))
+    if set(declared) <= {"values", "when"} and isinstance(values := declared.get("values"), list):
+        return Categorical(name, tuple(map(str, values)), when=when)
     unknown = sorted(map(str, set(declared) - _NAMED))
     if unknown or not {"min", "max"} <= set(declared):
         known = ", ".join(sorted(_NAMED))
@@ -124,7 +125,19 @@ def _named_parameter(name: str, declared: Mapping[str, Any]) -> Parameter:
         )
     if not all(isinstance(given.get(key, ""), str) for key in ("unit", "title")):
         raise SpaceError(f"{name}: expected unit and title as texts, got {dict(declared)!r}")
-    return _number(name, low, high, **given)
+    return _number(name, low, high, **given | {"when": when})
+
+
+def _when(name: str, declared: object) -> When:
+    """Return the choices with which a parameter is present: ``{"type": "cut-in"}``, or several in a list."""
+    if declared is None:
+        return ()
+    if not isinstance(declared, Mapping) or not declared:
+        raise SpaceError(
+            f"{name}: expected when as a parameter with its choices, such as {{'type': 'cut-in'}}"
+        )
+    pairs = ((str(label), one if isinstance(one, list | tuple) else [one]) for label, one in declared.items())
+    return tuple((label, tuple(map(str, choices))) for label, choices in pairs)
 
 
 def _number(name: str, low: float, high: float, **given: Any) -> Real | Integer:
@@ -166,6 +179,7 @@ def _described(component: Mapping[str, Any]) -> Component:
 def _described_parameter(described: Mapping[str, Any]) -> Parameter:
     name = described["name"]
     parameter: Parameter
+    when = _when(name, described.get("when"))
     match described["type"]:
         case "real":
             parameter = Real(
@@ -176,6 +190,7 @@ def _described_parameter(described: Mapping[str, Any]) -> Parameter:
                 step=described.get("step"),
                 log=described.get("log", False),
                 resolution=_described_resolution(described),
+                when=when,
             )
         case "integer":
             parameter = Integer(
@@ -185,9 +200,10 @@ def _described_parameter(described: Mapping[str, Any]) -> Parameter:
                 described.get("unit", ""),
                 step=described.get("step"),
                 resolution=_described_resolution(described),
+                when=when,
             )
         case "categorical":
-            parameter = Categorical(name, tuple(described["choices"]))
+            parameter = Categorical(name, tuple(described["choices"]), when=when)
         case other:
             raise SpaceError(f"{name}: expected the type real, integer or categorical, got {other!r}")
     return parameter.limited(described["odd"]) if "odd" in described else parameter

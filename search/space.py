@@ -9,7 +9,7 @@ leaves a valid vector unchanged.
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self, TypeAlias
 
@@ -95,6 +95,9 @@ class Component:
     _free: tuple[Number, ...] = field(init=False, repr=False, compare=False)
     _checked: tuple[Parameter, ...] = field(init=False, repr=False, compare=False)
     _feasible: Feasible | None = field(init=False, repr=False, compare=False, default=None)
+    _when: Mapping[str, tuple[tuple[str, frozenset[float]], ...]] = field(
+        init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         check_name("component", self.name)
@@ -111,6 +114,7 @@ class Component:
         blocks = tuple(c for c in self.constraints if isinstance(c, Dormant))
         rules = tuple(c for c in self.constraints if not isinstance(c, Dormant))
         object.__setattr__(self, "by_name", {p.name: p for p in self.parameters})
+        object.__setattr__(self, "_when", {p.name: self._checked_when(p) for p in self.parameters if p.when})
         self._check_constraints(blocks, rules)
         self._check_interchangeable()
         self._check_resolutions()
@@ -122,6 +126,36 @@ class Component:
         object.__setattr__(self, "_checked", self._check_limits(blocks, rules))
         if self.formulas:
             object.__setattr__(self, "_feasible", self._find_feasible())
+
+    def _checked_when(self, parameter: Parameter) -> tuple[tuple[str, frozenset[float]], ...]:
+        """Return the labels on which the presence of a parameter depends, with the codes of their choices."""
+        earlier = self.parameters[: self.parameters.index(parameter)]
+        labels = {one.name: one for one in earlier if isinstance(one, Categorical)}
+        checked = []
+        for name, choices in parameter.when:
+            where = f"component {self.name}: {parameter.name} is present when {name}"
+            if name not in labels:
+                raise SpaceError(
+                    f"{where}: expected a categorical parameter of the component that comes before it"
+                    f"{did_you_mean(name, labels)}"
+                )
+            known = labels[name].choices
+            for choice in choices:
+                if choice not in known:
+                    raise SpaceError(f"{where} is {choice!r}: no such choice{did_you_mean(choice, known)}")
+            checked.append((name, frozenset(float(known.index(choice)) for choice in choices)))
+        return tuple(checked)
+
+    def _is_absent(self, name: str, values: Values, absent: Collection[str]) -> bool:
+        """Return whether a parameter is absent, given which earlier ones are."""
+        return any(label in absent or values[label] not in codes for label, codes in self._when[name])
+
+    def _absent(self, values: Values) -> set[str]:
+        absent: set[str] = set()
+        for name in self._when:
+            if self._is_absent(name, values, absent):
+                absent.add(name)
+        return absent
 
     def _find_feasible(self) -> Feasible:
         nothing = np.full(self.dimension, np.nan)
@@ -149,6 +183,10 @@ class Component:
             if twice:
                 raise SpaceError(f"component {self.name}: {twice[0]} belongs to more than one {what}")
             for name in owners:
+                if self.by_name[name].when:
+                    raise SpaceError(
+                        f"component {self.name}: {name} belongs to a {what}, so it is always present"
+                    )
                 if isinstance(number := self.by_name[name], Number) and (number.step or number.log):
                     raise SpaceError(
                         f"component {self.name}: {name} belongs to a {what}, so it can have neither steps nor a log "
@@ -308,7 +346,15 @@ class Component:
     def _settled(self, vector: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return the nearest vector that is valid but for the formulas."""
         values = self._values(vector)
+        absent: set[str] = set()
         for parameter in self.parameters:
+            if parameter.when:
+                if self._is_absent(parameter.name, values, absent):
+                    absent.add(parameter.name)
+                    values[parameter.name] = parameter.absent
+                    continue
+                if values[parameter.name] == parameter.absent:
+                    values[parameter.name] = math.nan
             if isinstance(parameter, Categorical):
                 value = values[parameter.name]
                 values[parameter.name] = (
@@ -317,7 +363,7 @@ class Component:
             elif isinstance(parameter, Integer):
                 values[parameter.name] = parameter.rounded(values[parameter.name])
         for number in self._free:
-            if not math.isnan(values[number.name]):
+            if not math.isnan(values[number.name]) and number.name not in absent:
                 values[number.name] = number.clipped(values[number.name])
         dormant = self._dormant(values)
         values.update(dict.fromkeys(dormant, 0.0))
@@ -337,8 +383,9 @@ class Component:
         return {p.name: value for p, value in zip(self.parameters, array.tolist(), strict=True)}
 
     def dormant(self, vector: FloatArray) -> BoolArray:
-        """Return which numbers of a valid vector are dormant, shape ``(dimension,)``."""
-        names = self._dormant(self._values(vector))
+        """Return which parameters of a valid vector are dormant or absent, shape ``(dimension,)``."""
+        values = self._values(vector)
+        names = self._dormant(values) | self._absent(values)
         return np.array([parameter.name in names for parameter in self.parameters], np.bool_)
 
     def _dormant(self, values: Values) -> set[str]:
@@ -369,7 +416,8 @@ class Component:
             SpaceError: The vector has the wrong shape.
         """
         values = self._values(vector)
-        labels = [p for p in self.parameters if isinstance(p, Categorical)]
+        absent = self._absent(values)
+        labels = [p for p in self.parameters if isinstance(p, Categorical) and p.name not in absent]
         violations = [(p.name, problem) for p in labels if (problem := p.problem(values[p.name]))]
         if not violations:
             violations = list(self._value_problems(values)) or list(self._constraint_problems(values))
@@ -379,10 +427,12 @@ class Component:
             yield f"{self.name}: expected values that meet the constraint {formula.text}"
 
     def _value_problems(self, values: Values) -> Iterator[tuple[str, str]]:
-        dormant = self._dormant(values)
+        dormant, absent = self._dormant(values), self._absent(values)
         for parameter in self._checked:
             value = values[parameter.name]
-            if parameter.name in dormant:
+            if parameter.name in absent:
+                problem = None if value == parameter.absent else f"expected no value{self._unless(parameter)}"
+            elif parameter.name in dormant:
                 problem = None if value == 0 else f"expected 0 while its block is dormant, got {value!r}"
             else:
                 problem = parameter.problem(value)
@@ -399,48 +449,66 @@ class Component:
                 yield rule.names[0], problem
 
     def active_values(self, vector: FloatArray) -> dict[str, Value]:
-        """Return the human-readable values of a valid vector, by own and by full name, without dormant ones."""
+        """Return the values of a valid vector as people read them, by own and by full name; only active ones."""
         values = self._values(vector)
-        dormant = self._dormant(values)
+        dormant = self._dormant(values) | self._absent(values)
         active = {p.name: p.decode(values[p.name]) for p in self.parameters if p.name not in dormant}
         return active | {f"{self.name}.{name}": value for name, value in active.items()}
 
     def unset_dormant(self, vector: FloatArray) -> FloatArray:
-        """Return a copy with NaN for dormant numbers, so that variation neither mixes nor shifts them.
+        """Return a copy with NaN for what is dormant or absent, so that variation neither mixes nor shifts it.
 
         Raises:
             SpaceError: The vector has the wrong shape.
         """
         values = self._values(vector)
-        values.update(dict.fromkeys(self._dormant(values), math.nan))
+        values.update(dict.fromkeys(self._dormant(values) | self._absent(values), math.nan))
         return np.fromiter(values.values(), np.float64, self.dimension)
 
     def decode(self, vector: FloatArray) -> dict[str, Value]:
-        """Return the human-readable values, by parameter.
+        """Return the human-readable values, by parameter; absent ones are left out.
 
         Raises:
             SpaceError: The vector has the wrong shape.
         """
         values = self._values(vector)
-        return {p.name: p.decode(values[p.name]) for p in self.parameters}
+        absent = self._absent(values)
+        return {p.name: p.decode(values[p.name]) for p in self.parameters if p.name not in absent}
 
     def encode(self, values: Mapping[str, object]) -> FloatArray:
         """Return the vector that encodes human-readable values.
 
         Raises:
-            SpaceError: A parameter is missing, unknown, out of range, or violates a constraint.
+            SpaceError: A parameter is missing, unknown, absent with these values, out of range, or violates a
+                constraint.
         """
         for name in values:
             if name not in self.by_name:
                 raise SpaceError(f"{self.name}.{name}: unknown parameter{did_you_mean(name, self.by_name)}")
         vector = np.zeros(self.dimension)
+        stored: Values = {}
+        absent: set[str] = set()
         for position, parameter in enumerate(self.parameters):
+            given = values.get(parameter.name)
+            if parameter.when and self._is_absent(parameter.name, stored, absent):
+                if given is not None:
+                    unless = self._unless(parameter)
+                    raise SpaceError(
+                        f"{self.name}.{parameter.name}: expected no value{unless}, got {given!r}"
+                    )
+                absent.add(parameter.name)
+                vector[position] = parameter.absent
+                continue
             if parameter.name not in values:
                 raise SpaceError(f"{self.name}.{parameter.name}: missing; expected {parameter.describe()}")
-            vector[position] = self._encode(parameter, values)
+            vector[position] = stored[parameter.name] = self._encode(parameter, values)
         for problem in self.problems(vector):
             raise SpaceError(problem)
         return frozen_array(vector + 0.0)
+
+    def _unless(self, parameter: Parameter) -> str:
+        conditions = [f"{label} is {' or '.join(choices)}" for label, choices in parameter.when]
+        return f" unless {' and '.join(conditions)}"
 
     def _encode(self, parameter: Parameter, values: Mapping[str, object]) -> float:
         value = values[parameter.name]
@@ -568,6 +636,11 @@ class SearchSpace:
         return float(np.prod([component.size for component in self.components]))
 
     @property
+    def absent(self) -> FloatArray:
+        """What is stored where a parameter is absent, NaN if it is always present, shape ``(dimension,)``."""
+        return np.array([parameter.absent if parameter.when else np.nan for parameter in self.parameters])
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The parameter of each entry of a row."""
         return tuple(parameter for component in self.components for parameter in component.parameters)
@@ -612,7 +685,7 @@ class SearchSpace:
         return rows
 
     def dormant(self, row: FloatArray) -> BoolArray:
-        """Return which numbers of a valid row are dormant, shape ``(dimension,)``."""
+        """Return which parameters of a valid row are dormant or absent, shape ``(dimension,)``."""
         vectors = self.split(row)
         return np.concatenate([c.dormant(v) for c, v in zip(self.components, vectors, strict=True)])
 

@@ -105,7 +105,16 @@ def example_spaces() -> dict[str, SearchSpace]:
                     Categorical("road", ("a", "b")),
                 ),
             ),
-            Component("behaviour", (Real("rate", 1e-6, 1.0, "1/s", log=True), Real("noise", 0.0, 1.0))),
+            Component(
+                "behaviour",
+                (
+                    Categorical("type", ("late", "lost", "none")),
+                    Real("rate", 1e-6, 1.0, "1/s", log=True, when=(("type", ("late", "lost")),)),
+                    Categorical("how", ("once", "often"), when=(("type", ("lost",)),)),
+                    Integer("times", 2, 9, when=(("how", ("often",)),)),
+                    Real("noise", 0.0, 1.0),
+                ),
+            ),
         )
     ).constrained(["gap > cars / 5", "road == 'a' or noise < 0.8"])
     return {

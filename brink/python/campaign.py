@@ -1,6 +1,6 @@
 """Campaigns written in Python, what they start from, and every other form that `brink.run` accepts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
@@ -167,11 +167,15 @@ def solutions_of(frame: "pd.DataFrame", space: SearchSpace) -> list[dict[str, An
             "start_from", f"expected a column for each parameter; missing {', '.join(missing)}"
         )
     rows: Sequence[Mapping[Any, Any]] = frame.to_dict("records")
-    return [_solution(place, row, columns) for place, row in enumerate(rows)]
+    at_times = [name for name, one in zip(space.column_names(), space.parameters, strict=True) if one.when]
+    return [_solution(place, row, columns, at_times) for place, row in enumerate(rows)]
 
 
-def _solution(place: int, row: Mapping[Any, Any], columns: Mapping[str, str | None]) -> dict[str, Any]:
+def _solution(
+    place: int, row: Mapping[Any, Any], columns: Mapping[str, str | None], at_times: Collection[str]
+) -> dict[str, Any]:
     values = {full: _plain(row[column]) for full, column in columns.items()}
+    values = {full: value for full, value in values.items() if value is not None or full not in at_times}
     if empty := [name for name, value in values.items() if value is None]:
         raise InvalidInput.at(
             "start_from",

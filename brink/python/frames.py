@@ -100,7 +100,9 @@ def archive_frame(archive: Archive, space: SearchSpace, active: BoolArray | None
     parameters = [one for component in space.components for one in component.parameters]
     for place, (name, parameter) in enumerate(zip(parameter_columns(space), parameters, strict=True)):
         values = archive.vectors[:, place]
-        shown = np.ones(len(archive), np.bool_) if active is None else active[:, place]
+        shown = values != (parameter.absent if parameter.when else np.nan)
+        if active is not None:
+            shown &= active[:, place]
         if isinstance(parameter, Categorical):
             columns[name] = [
                 parameter.choices[int(value)] if on else None

@@ -170,8 +170,10 @@ def check_call(function: Callable[..., Any], space: SearchSpace) -> None:
     given = dict.fromkeys(names)
     if simulator.takes_seed(function):
         given.setdefault(simulator.SEED)
+    at_times = {one.name for component in space.components for one in component.parameters if one.when}
     try:
         signature.bind(**given)
+        signature.bind(**{name: one for name, one in given.items() if name not in at_times})
     except TypeError as error:
         shown = getattr(function, "__name__", "the function")
         raise SpaceError(

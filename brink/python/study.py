@@ -245,7 +245,9 @@ class Study:
                 values = flat_values(self._space.decode(self._space.split(self.archive.vectors[place])))
                 row[f"{side}.number"] = content.number
                 row[f"{side}.robustness"] = float(self.archive.robustness[place])
-                row |= {f"{side}.{name}": value for name, value in zip(names, values.values(), strict=True)}
+                row |= {
+                    f"{side}.{name}": values.get(name, values.get(name.rpartition(".")[2])) for name in names
+                }
             table.append(row)
         kinds = zip(names, boundary_table.parameter_columns(self._space).values(), strict=True)
         of_a_side = {"number": int, "robustness": float, **dict(kinds)}

@@ -98,7 +98,8 @@ def parameter_columns(
 
 def _active(component: Component, rows: FloatArray) -> BoolArray:
     """Return which entries of a component's rows are active, shape ``(n, d)``."""
-    active = np.ones(rows.shape, dtype=np.bool_)
+    absent = [parameter.absent if parameter.when else np.nan for parameter in component.parameters]
+    active: BoolArray = rows != absent
     place = {parameter.name: index for index, parameter in enumerate(component.parameters)}
     for block in component.constraints:
         if not isinstance(block, Dormant):

@@ -130,12 +130,16 @@ def _encoded(
     ]
     wrong += [
         FieldError(pointer=f"{pointer}/{name}", message="missing; every parameter is required")
-        for name in names
-        if name not in values
+        for name, parameter in zip(names, space.parameters, strict=True)
+        if name not in values and not parameter.when
     ]
     if not wrong:
         parts = {
-            component.name: {p.name: values[f"{component.name}.{p.name}"] for p in component.parameters}
+            component.name: {
+                p.name: values[name]
+                for p in component.parameters
+                if (name := f"{component.name}.{p.name}") in values
+            }
             for component in space.components
         }
         try:

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection
 
-from brink.search.parameters import Categorical
+from brink.search.parameters import ABSENT, Categorical
 from brink.search.shorthand import flat_values
 from brink.server.problems.base import SimulatedProblem, SimulatedSolution, Vectors
 from brink.server.problems.changes import instead
@@ -28,8 +28,8 @@ class PlainValues(SimulatedProblem):
         sides = [flat_values(self.space.decode(tuple(side.vectors))) for side in (safe, unsafe)]
         own_names = {name.rpartition(".")[2] for name in changed}
         return ", ".join(
-            f"{name} {instead(old, new, self._unit(name))}"
-            for (name, old), new in zip(sides[0].items(), sides[1].values(), strict=True)
+            f"{name} {instead(sides[0].get(name, ABSENT), sides[1].get(name, ABSENT), self._unit(name))}"
+            for name in sides[0] | sides[1]
             if name in own_names
         )
 
