@@ -16,7 +16,7 @@ from brink.sim.adapters.command import simulator as module
 from brink.sim.adapters.command.definition import Definition, with_contents
 from brink.sim.adapters.command.signals import SignalError, SignalSource
 from brink.sim.adapters.command.simulator import CommandSimulator
-from brink.sim.episode import EpisodeResult, EpisodeSpec
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import DefinitionError, InvalidEpisode, SimulationCrashed
 from brink.sim.trace import Trace
 
@@ -77,7 +77,8 @@ def test_a_formula_over_several_signals_gives_the_verdict() -> None:
     def verdict(x: float, stl: str) -> tuple[float, str, float | None]:
         simulator = CommandSimulator(definition_of(), "0")
         spec = spec_of(simulator, {"x": x})
-        options = {**spec.options, "requirements": {"high": {"stl": stl, "unit": "m"}}}
+        stated: Json = {"high": {"stl": stl, "unit": "m"}}
+        options = {**spec.options, "requirements": stated}
         result = simulator.run(replace(spec, options=options), record=True)
         found = result.verdicts["high"]
         assert result.trace is not None
