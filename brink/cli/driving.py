@@ -114,7 +114,7 @@ def _system(given: str, folder: str) -> tuple[str, str | None]:
         except DefinitionError as error:
             raise InvalidInput.at("FILE", str(error)) from None
     if ".py" not in given:
-        known = (OWN, *plugin_ids(DRIVING_SYSTEMS))
+        known = tuple(dict.fromkeys((OWN, *plugin_ids(DRIVING_SYSTEMS))))
         if given in known:
             return given, None
         raise InvalidInput.at(
