@@ -99,6 +99,8 @@ def _attempt(simulator: CommandSimulator, spec: EpisodeSpec, folder: Path) -> At
 def _chosen(space: SearchSpace, given: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the values of all parameters, by component: those that were given, others from the middle.
 
+    Those that are absent with the chosen ones are left out.
+
     Raises:
         InvalidInput: A name is unknown.
     """
@@ -112,7 +114,8 @@ def _chosen(space: SearchSpace, given: dict[str, Any]) -> dict[str, dict[str, An
             else:
                 usual = parameter.decode(parameter.clipped((parameter.least + parameter.most) / 2))
             value = left.pop(f"{component.name}.{parameter.name}", left.pop(parameter.name, usual))
-            part[parameter.name] = str(value) if isinstance(parameter, Categorical) else value
+            if all(part.get(label) in choices for label, choices in parameter.when):
+                part[parameter.name] = str(value) if isinstance(parameter, Categorical) else value
     if left:
         names = ", ".join(name for part in chosen.values() for name in part)
         raise InvalidInput.at("--set", f"no parameter is called {min(left)!r}; expected one of {names}")

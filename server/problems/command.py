@@ -109,7 +109,8 @@ def declared_space(declared: Mapping[str, Any], definition: Definition) -> Searc
     """Return the search space that a campaign file declares.
 
     Args:
-        declared: By component and name, ``{min, max, unit, step, log, resolution}`` or ``{values}``.
+        declared: By component and name, ``{min, max, unit, step, log, resolution}`` or ``{values}``, and
+            ``{when, absent}`` if it may be absent.
         definition: The definition, which has the choices as text.
 
     Raises:
@@ -123,7 +124,8 @@ def declared_space(declared: Mapping[str, Any], definition: Definition) -> Searc
     return space_of(
         {
             name: {
-                key: one if (choices := definition.choices[key]) is None else {**one, "values": list(choices)}
+                key: {name: one[name] for name in one if name != "absent"}
+                | ({} if (choices := definition.choices[key]) is None else {"values": list(choices)})
                 for key, one in part.items()
             }
             for name, part in declared.items()

@@ -58,6 +58,7 @@ class Definition:
         version: Command whose output identifies the program; empty for the content of its files.
         success: Exit statuses of an episode that has a verdict.
         choices: The parameters; None for a number, else the values that it may have.
+        absent: Those that may be absent, each with the text that then stands in its place.
     """
 
     command: tuple[str, ...]
@@ -67,6 +68,7 @@ class Definition:
     version: tuple[str, ...]
     success: tuple[int, ...]
     choices: Mapping[str, tuple[str, ...] | None]
+    absent: Mapping[str, str]
 
     @classmethod
     def of(cls, params: Mapping[str, Any]) -> Self:
@@ -84,6 +86,7 @@ class Definition:
             version=_arguments("version", params["version"]) if params.get("version") else (),
             success=_statuses(params.get("success", [0])),
             choices=_choices(params.get("space", {})),
+            absent=_absent(params.get("space", {})),
         )
         _check_names([*files, *copies])
         size = sum(map(len, definition.copies.values())) + sum(
@@ -141,13 +144,13 @@ class Definition:
             "environment": dict(self.environment),
             "version": list(self.version),
             "success": list(self.success),
-            "space": {
-                "values": {
-                    name: {} if choices is None else {"values": list(choices)}
-                    for name, choices in self.choices.items()
-                }
-            },
+            "space": {"values": {name: self._described(name) for name in self.choices}},
         }
+
+    def _described(self, name: str) -> dict[str, Json]:
+        choices = self.choices[name]
+        described: dict[str, Json] = {} if choices is None else {"values": list(choices)}
+        return described | ({"absent": self.absent[name]} if name in self.absent else {})
 
     def simulator_id(self, program: str) -> str:
         """Return the id of the simulator that runs this definition with a program.
@@ -224,13 +227,13 @@ class Definition:
         Raises:
             DefinitionError: A value is missing, unknown, not a finite number, or none of the choices.
         """
-        if unknown := set(values) ^ set(self.choices):
+        if unknown := (set(values) ^ set(self.choices)) - (set(self.absent) - set(values)):
             raise DefinitionError(
                 "space", f"expected values of {', '.join(self.choices)}; {min(unknown)!r} differs"
             )
-        texts = {}
-        for name, choices in self.choices.items():
-            value = values[name]
+        texts = dict(self.absent)
+        for name, value in values.items():
+            choices = self.choices[name]
             if choices is not None:
                 if value not in choices:
                     raise DefinitionError(
@@ -412,6 +415,23 @@ def _choices(space: object) -> dict[str, tuple[str, ...] | None]:
                 raise DefinitionError("space", f"{name}: expected values without control characters")
             choices[str(name)] = texts
     return choices
+
+
+def _absent(space: object) -> dict[str, str]:
+    """Return what stands in place of each parameter of a declared space that may be absent."""
+    absent = {}
+    for component in space.values() if isinstance(space, Mapping) else ():
+        for name, declared in component.items() if isinstance(component, Mapping) else ():
+            if isinstance(declared, Mapping) and ("absent" in declared or "when" in declared):
+                text = declared.get("absent")
+                if not isinstance(text, str) or not text.isprintable():
+                    raise DefinitionError(
+                        "space",
+                        f"{name}: expected, beside when, absent: the text that stands in its place where it is "
+                        f"absent, such as '' or '0'; got {text!r:.80}",
+                    )
+                absent[str(name)] = text
+    return absent
 
 
 def _found(name: str, environment: Mapping[str, str], field: str) -> str:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from brink.pictures.story import story_of
+from brink.server.problems.command import declared_space
 from brink.sim.adapters.command import simulator as module
 from brink.sim.adapters.command.definition import Definition, with_contents
 from brink.sim.adapters.command.signals import SignalError, SignalSource
@@ -115,6 +116,20 @@ def test_placeholders_are_filled_and_escaped_by_the_ending_of_the_file() -> None
     assert definition.arguments(texts)[1:] == (f"--mode={hostile}", "7", "{seed}", "0.5")
 
 
+def test_a_text_stands_in_place_of_a_parameter_that_is_absent() -> None:
+    depth = {"min": 0, "max": 3, "when": {"kind": "cut-in"}, "absent": "none"}
+    space = {"kind": {"values": ["cut-in", "brake"]}, "depth": depth}
+    stated: dict[str, Any] = {"command": ["echo", "{kind}", "{depth}"], "space": {"scenario": space}}
+    definition = Definition.of(stated)
+    assert definition.arguments(definition.texts({"kind": "brake"}))[1:] == ("brake", "none")
+    assert definition.arguments(definition.texts({"kind": "cut-in", "depth": 1.5}))[1:] == ("cut-in", "1.5")
+    with pytest.raises(DefinitionError, match="'kind' differs"):
+        definition.texts({"depth": 1.5})
+    assert Definition.of(definition.document()).simulator_id("0") == definition.simulator_id("0")
+    component = declared_space(stated["space"], definition).components[0]
+    assert component.by_name["depth"].when == (("kind", ("cut-in",)),)
+
+
 @pytest.mark.parametrize(
     ("changed", "field", "words"),
     [
@@ -133,6 +148,7 @@ def test_placeholders_are_filled_and_escaped_by_the_ending_of_the_file() -> None
         ({"success": [0, 300]}, "success", "0 to 255"),
         ({"space": {"a": {"x": {}}, "b": {"x": {}}}}, "space", "names that differ"),
         ({"space": {"a": {"seed": {}}}}, "space", "names that differ"),
+        ({"space": {"a": {"x": {"min": 0, "max": 1, "when": {"y": "b"}}}}}, "space", "beside when, absent"),
         ({"space": {"a": {"x": {"values": ["a\nb"]}}}}, "space", "control characters"),
     ],
 )
