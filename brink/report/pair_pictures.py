@@ -67,7 +67,7 @@ async def write_pair(
         return False
     what = f"drawing {path}"
     show(what, 0, 0)
-    if not problem.records_traces:
+    if problem.records_signals and not problem.records_traces:
         await asyncio.to_thread(_draw_signals, drives, path)
         return False
     await asyncio.to_thread(
