@@ -1,4 +1,4 @@
-"""The drives of a campaign's pairs again with something else changed: another driving system, detector, fidelity.
+"""Simulates the pairs of a campaign with one thing changed: driving system, detector or fidelity.
 
 They are a campaign of its own, so that they say nothing of the pairs of the first one. Both sides of each pair are
 simulated with the seeds that `brink pairs --confirm` gives them, until it is clear whether each keeps its verdict.

@@ -1,4 +1,4 @@
-"""`brink pairs ID --confirm R --set NAME=VALUE`: the drives of pairs again, with something else changed."""
+"""`brink pairs ID --confirm R --set NAME=VALUE`: simulates pairs with one thing changed."""
 
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any

@@ -14,13 +14,11 @@ from brink.search.errors import ConfigError, SpaceError
 from brink.search.settings import check_settings, setting
 from brink.search.shorthand import space_of
 from brink.search.space import SearchSpace
-from brink.server.problems.base import Vectors
 from brink.server.problems.plain_values import PlainValues
 from brink.sim.adapters.command.definition import Definition
 from brink.sim.adapters.command.requirement import RequirementError, requirement_of
 from brink.sim.adapters.command.signals import SignalError, SignalSource
 from brink.sim.adapters.command.simulator import install
-from brink.sim.episode import EpisodeSpec
 from brink.sim.errors import DefinitionError
 
 MAX_REQUIREMENTS: Final = 16
@@ -121,6 +119,9 @@ def declared_space(declared: Mapping[str, Any], definition: Definition) -> Searc
             raise SpaceError(
                 f"{name}: expected parameters such as gap: {{min: 5, max: 60}}, got {part!r:.80}"
             )
+        for key, one in part.items():
+            if "absent" in one and "when" not in one:
+                raise SpaceError(f"{key}: absent needs when, which says with what choices it is present")
     return space_of(
         {
             name: {
@@ -151,6 +152,8 @@ class Command(PlainValues):
         self.requirements = tuple(params.requirements)
         self.needs = self.definition.simulator_id(params.program)
         self.timeout_s = params.timeout_s + _GRACE_S
+        self.duration_s = params.timeout_s
+        self.options = {"signals": params.signals, "requirements": params.requirements}
         self.records_traces = bool(params.signals.get("positions"))
         self.ignores_seeds = not self.definition.takes_seed
 
@@ -163,16 +166,3 @@ class Command(PlainValues):
     def install(self) -> None:
         """Allow the workers of this machine to run the command."""
         install(self.definition, self.params.program)
-
-    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
-        """Return the episode that evaluates a candidate."""
-        values = self.space.decode(tuple(vectors))
-        return EpisodeSpec(
-            simulator=self.needs,
-            scenario={name: dict(part) for name, part in values.items()},
-            behaviour={},
-            requirements=self.requirements,
-            seed=seed,
-            duration_s=self.params.timeout_s,
-            options={"signals": self.params.signals, "requirements": self.params.requirements},
-        )

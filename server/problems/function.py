@@ -12,10 +12,8 @@ from brink.search.parameters import Real
 from brink.search.settings import check_settings, setting
 from brink.search.shorthand import space_from
 from brink.search.space import Component, SearchSpace
-from brink.server.problems.base import Vectors
 from brink.server.problems.plain_values import PlainValues
 from brink.sim.adapters.function import FUNCTION, simulator_of
-from brink.sim.episode import EpisodeSpec
 
 _EXAMPLE: Final = SearchSpace((Component("parameters", (Real("x", 0.0, 1.0),)),))
 
@@ -55,7 +53,7 @@ class Function(PlainValues):
         self.params = params
         self.space = space_from(params.space)
         self.needs = simulator_of(params.digest)
-        self.timeout_s = params.timeout_s
+        self.timeout_s = self.duration_s = params.timeout_s
         self.ignores_seeds = not params.takes_seed
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
@@ -63,15 +61,3 @@ class Function(PlainValues):
         if self.params.digest:
             return []
         return [("function", "expected a function: call brink.search(function, space) in Python")]
-
-    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
-        """Return the call that evaluates a candidate."""
-        values = self.space.decode(tuple(vectors))
-        return EpisodeSpec(
-            simulator=self.needs,
-            scenario={name: dict(part) for name, part in values.items()},
-            behaviour={},
-            requirements=self.requirements,
-            seed=seed,
-            duration_s=self.timeout_s,
-        )

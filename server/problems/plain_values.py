@@ -1,15 +1,37 @@
 """Problems whose candidates are described by nothing but the values of their parameters."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from types import MappingProxyType
 
 from brink.search.parameters import ABSENT, Categorical
 from brink.search.shorthand import flat_values
 from brink.server.problems.base import SimulatedProblem, SimulatedSolution, Vectors
 from brink.server.problems.changes import instead
+from brink.sim.episode import EpisodeSpec, Json
 
 
 class PlainValues(SimulatedProblem):
-    """A simulated problem that knows no more of its parameters than their names and units."""
+    """A simulated problem that knows no more of its parameters than their names and units.
+
+    Attributes:
+        duration_s: Duration of an episode, > 0.
+        options: Options of an episode.
+    """
+
+    duration_s: float
+    options: Mapping[str, Json] = MappingProxyType({})
+
+    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
+        """Return the episode that evaluates a candidate."""
+        return EpisodeSpec(
+            simulator=self.needs,
+            scenario={name: dict(part) for name, part in self.space.decode(tuple(vectors)).items()},
+            behaviour={},
+            requirements=self.requirements,
+            seed=seed,
+            duration_s=self.duration_s,
+            options=self.options,
+        )
 
     def words(self, vectors: Vectors) -> str:
         """Return the values of a candidate."""

@@ -192,7 +192,7 @@ class _ObjectError(ActiveError[ObjectReport]):
         )
 
     def _earlier(self, body: int, step: int, age_s: float) -> ObjectReport:
-        """Return what was reported of a body some time ago, or else the first report of it."""
+        """Return the report of a body from some time ago, or its first one if it was not reported then."""
         past, wanted = self._past[body], step - round(age_s / PERCEPTION_STEP_S)
         return past[max((one for one in past if one <= wanted), default=min(past))]
 

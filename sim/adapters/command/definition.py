@@ -398,39 +398,44 @@ def choice_text(value: object) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
+def _declared(space: object) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield name and description of each parameter of a declared space, whose form is checked elsewhere."""
+    for component in space.values() if isinstance(space, Mapping) else ():
+        for name, stated in component.items() if isinstance(component, Mapping) else ():
+            yield str(name), stated if isinstance(stated, Mapping) else {}
+
+
 def _choices(space: object) -> dict[str, tuple[str, ...] | None]:
     """Return the parameters of a declared space: None for a number, else the texts of its choices."""
     choices: dict[str, tuple[str, ...] | None] = {}
-    for component in space.values() if isinstance(space, Mapping) else ():
-        for name, declared in component.items() if isinstance(component, Mapping) else ():
-            if name in choices or name in ALWAYS:
-                raise DefinitionError(
-                    "space",
-                    f"{name}: expected names that differ, in all components, from each other and from "
-                    f"{', '.join(ALWAYS)}",
-                )
-            values = declared.get("values") if isinstance(declared, Mapping) else None
-            texts = tuple(map(choice_text, values)) if isinstance(values, list) else None
-            if texts is not None and not all(text.isprintable() for text in texts):
-                raise DefinitionError("space", f"{name}: expected values without control characters")
-            choices[str(name)] = texts
+    for name, stated in _declared(space):
+        if name in choices or name in ALWAYS:
+            raise DefinitionError(
+                "space",
+                f"{name}: expected names that differ, in all components, from each other and from "
+                f"{', '.join(ALWAYS)}",
+            )
+        values = stated.get("values")
+        texts = tuple(map(choice_text, values)) if isinstance(values, list) else None
+        if texts is not None and not all(text.isprintable() for text in texts):
+            raise DefinitionError("space", f"{name}: expected values without control characters")
+        choices[name] = texts
     return choices
 
 
 def _absent(space: object) -> dict[str, str]:
     """Return what stands in place of each parameter of a declared space that may be absent."""
     absent = {}
-    for component in space.values() if isinstance(space, Mapping) else ():
-        for name, declared in component.items() if isinstance(component, Mapping) else ():
-            if isinstance(declared, Mapping) and ("absent" in declared or "when" in declared):
-                text = declared.get("absent")
-                if not isinstance(text, str) or not text.isprintable():
-                    raise DefinitionError(
-                        "space",
-                        f"{name}: expected, beside when, absent: the text that stands in its place where it is "
-                        f"absent, such as '' or '0'; got {text!r:.80}",
-                    )
-                absent[str(name)] = text
+    for name, stated in _declared(space):
+        if "absent" in stated or "when" in stated:
+            text = stated.get("absent")
+            if not isinstance(text, str) or not text.isprintable():
+                raise DefinitionError(
+                    "space",
+                    f"{name}: expected, beside when, absent: the text that stands in its place where it is "
+                    f"absent, such as '' or '0'; got {text!r:.80}",
+                )
+            absent[name] = text
     return absent
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from brink.pictures.story import story_of
+from brink.search.errors import SpaceError
 from brink.server.problems.command import declared_space
 from brink.sim.adapters.command import simulator as module
 from brink.sim.adapters.command.definition import Definition, with_contents
@@ -126,6 +127,10 @@ def test_a_text_stands_in_place_of_a_parameter_that_is_absent() -> None:
     with pytest.raises(DefinitionError, match="'kind' differs"):
         definition.texts({"depth": 1.5})
     assert Definition.of(definition.document()).simulator_id("0") == definition.simulator_id("0")
+    del depth["when"]
+    with pytest.raises(SpaceError, match="absent needs when"):
+        declared_space(stated["space"], definition)
+    depth["when"] = {"kind": "cut-in"}
     component = declared_space(stated["space"], definition).components[0]
     assert component.by_name["depth"].when == (("kind", ("cut-in",)),)
 
