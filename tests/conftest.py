@@ -102,6 +102,16 @@ def _loggers_of_commands() -> Iterator[None]:
         root.removeHandler(handler)
 
 
+@pytest.fixture(autouse=True)
+def _settings_of_commands() -> Iterator[None]:
+    """Restore the settings that a command of a test makes for its workers, which are this process's from then on."""
+    before = {name: value for name, value in os.environ.items() if name.startswith("BRINK_")}
+    yield
+    for name in [one for one in os.environ if one.startswith("BRINK_") and one not in before]:
+        del os.environ[name]
+    os.environ.update(before)
+
+
 @pytest.fixture(scope="session")
 def postgres_databases(request: pytest.FixtureRequest) -> Iterator[PostgresDatabases]:
     """Databases of a Postgres server; where there is no Postgres, the tests that need it fail and say why."""

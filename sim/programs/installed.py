@@ -8,6 +8,8 @@ import os
 from pathlib import Path
 from typing import Final
 
+from brink.sim.errors import DefinitionError
+
 COMMANDS_VARIABLE: Final = "BRINK_COMMANDS"
 """Environment variable with the folder of the definitions that workers on this machine may run; empty: none."""
 OWN_FOLDER: Final = Path("brink-commands")
@@ -22,7 +24,16 @@ def commands_folder() -> Path | None:
 
 
 def own_folder() -> Path:
-    """Return the folder of the definitions that workers of this command may run; make it if need be."""
-    folder = Path(os.environ.get(COMMANDS_VARIABLE) or OWN_FOLDER)
+    """Return the folder of the definitions that workers of this command may run; make it if need be.
+
+    Raises:
+        DefinitionError: The variable is empty, so the workers would wait for ever.
+    """
+    named = os.environ.get(COMMANDS_VARIABLE)
+    if named == "":
+        raise DefinitionError(
+            "problem", f"no programs may run here: {COMMANDS_VARIABLE} is empty; unset it, or name a folder"
+        )
+    folder = OWN_FOLDER if named is None else Path(named)
     folder.mkdir(parents=True, exist_ok=True)
     return folder

@@ -10,6 +10,8 @@ import yaml
 
 import brink
 from brink.server.campaigns.body import read_campaign_file
+from brink.sim.errors import DefinitionError
+from brink.sim.programs.installed import COMMANDS_VARIABLE
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "command"
 
@@ -67,3 +69,11 @@ def test_a_program_that_gives_other_results_for_the_same_seed_is_noticed(
     }
     campaign = brink.Campaign(problem="command@1", algorithm="random@1", simulations=8, problem_params=params)
     assert "python3 is not deterministic" in brink.run(campaign, progress=False).finding
+
+
+def test_where_no_program_may_run_that_is_said_instead_of_waiting_for_a_worker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(COMMANDS_VARIABLE, "")
+    with pytest.raises(DefinitionError, match="BRINK_COMMANDS is empty; unset it, or name a folder"):
+        run(tmp_path, "cut-in", 24)
