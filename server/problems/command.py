@@ -60,7 +60,9 @@ class CommandParams:
     )
     space: dict[str, Any] = field(
         default_factory=lambda: _EXAMPLE["space"],
-        metadata={"help": "Search space: by component and name, {min, max, unit, step, log} or {values}."},
+        metadata={
+            "help": "Search space: by component and name, {min, max, unit, step, log} or {values, gives}."
+        },
     )
     signals: dict[str, Any] = field(
         default_factory=lambda: _EXAMPLE["signals"],
@@ -107,8 +109,8 @@ def declared_space(declared: Mapping[str, Any], definition: Definition) -> Searc
     """Return the search space that a campaign file declares.
 
     Args:
-        declared: By component and name, ``{min, max, unit, step, log, resolution}`` or ``{values}``, and
-            ``{when, absent}`` if it may be absent.
+        declared: By component and name, ``{min, max, unit, step, log, resolution}`` or ``{values}``, to which
+            ``gives`` may add placeholders, and ``{when, absent}`` if it may be absent.
         definition: The definition, which has the choices as text.
 
     Raises:
@@ -125,7 +127,7 @@ def declared_space(declared: Mapping[str, Any], definition: Definition) -> Searc
     return space_of(
         {
             name: {
-                key: {name: one[name] for name in one if name != "absent"}
+                key: {name: one[name] for name in one if name not in ("absent", "gives")}
                 | ({} if (choices := definition.choices[key]) is None else {"values": list(choices)})
                 for key, one in part.items()
             }

@@ -59,6 +59,8 @@ class Definition:
         success: Exit statuses of an episode that has a verdict.
         choices: The parameters; None for a number, else the values that it may have.
         absent: Those that may be absent, each with the text that then stands in its place.
+        gives: Further placeholders whose text a parameter decides: by parameter and placeholder, the text for each of
+            its choices.
     """
 
     command: tuple[str, ...]
@@ -69,6 +71,7 @@ class Definition:
     success: tuple[int, ...]
     choices: Mapping[str, tuple[str, ...] | None]
     absent: Mapping[str, str]
+    gives: Mapping[str, Mapping[str, tuple[str, ...]]]
 
     @classmethod
     def of(cls, params: Mapping[str, Any]) -> Self:
@@ -78,6 +81,7 @@ class Definition:
             DefinitionError: It is malformed, or its placeholders and parameters do not match.
         """
         files, copies = (_checked_mapping(name, params.get(name, {})) for name in ("files", "copies"))
+        choices = _choices(params.get("space", {}))
         definition = cls(
             command=_arguments("command", params.get("command")),
             templates={name: _content("files", name, given, "content") for name, given in files.items()},
@@ -85,8 +89,9 @@ class Definition:
             environment=_environment(params.get("environment", {})),
             version=_arguments("version", params["version"]) if params.get("version") else (),
             success=_statuses(params.get("success", [0])),
-            choices=_choices(params.get("space", {})),
+            choices=choices,
             absent=_absent(params.get("space", {})),
+            gives=_gives(params.get("space", {}), choices),
         )
         _check_names([*files, *copies])
         size = sum(map(len, definition.copies.values())) + sum(
@@ -103,12 +108,13 @@ class Definition:
 
     def _check_placeholders(self) -> None:
         used: set[str] = set()
+        given = [name for texts in self.gives.values() for name in texts]
         for field, where, text in [
             *(("command", f"argument {place}", one) for place, one in enumerate(self.command)),
             *(("files", name, text) for name, text in self.templates.items()),
         ]:
             names = [match[1] for match in _PLACEHOLDER.finditer(text) if match[1]]
-            known = (*self.choices, *ALWAYS)
+            known = (*self.choices, *given, *ALWAYS)
             for name in names:
                 if name not in known:
                     raise DefinitionError(
@@ -121,7 +127,8 @@ class Definition:
             raise DefinitionError(
                 "command", f"expected a program without placeholders, got {self.command[0]!r}"
             )
-        if unused := [name for name in self.choices if name not in used]:
+        needed = [*(name for name in self.choices if name not in self.gives), *given]
+        if unused := [name for name in needed if name not in used]:
             raise DefinitionError(
                 "space",
                 f"no file and no argument has the placeholder {{{unused[0]}}}: the parameter would have no effect",
@@ -150,6 +157,8 @@ class Definition:
     def _described(self, name: str) -> dict[str, Json]:
         choices = self.choices[name]
         described: dict[str, Json] = {} if choices is None else {"values": list(choices)}
+        if name in self.gives:
+            described["gives"] = {key: list(texts) for key, texts in self.gives[name].items()}
         return described | ({"absent": self.absent[name]} if name in self.absent else {})
 
     def simulator_id(self, program: str) -> str:
@@ -232,6 +241,8 @@ class Definition:
                 "space", f"expected values of {', '.join(self.choices)}; {min(unknown)!r} differs"
             )
         texts = dict(self.absent)
+        for name, given in self.gives.items():
+            texts |= dict.fromkeys(given, self.absent.get(name, ""))
         for name, value in values.items():
             choices = self.choices[name]
             if choices is not None:
@@ -240,6 +251,8 @@ class Definition:
                         "space", f"{name}: expected one of {', '.join(choices)}; got {value!r:.80}"
                     )
                 texts[name] = str(value)
+                place = choices.index(str(value))
+                texts |= {key: given[place] for key, given in self.gives.get(name, {}).items()}
             elif isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                 raise DefinitionError("space", f"{name}: expected a finite number, got {value!r:.80}")
             else:
@@ -437,6 +450,38 @@ def _absent(space: object) -> dict[str, str]:
                 )
             absent[name] = text
     return absent
+
+
+def _gives(
+    space: object, choices: Mapping[str, tuple[str, ...] | None]
+) -> dict[str, dict[str, tuple[str, ...]]]:
+    """Return the placeholders whose text a parameter of a declared space decides."""
+    gives: dict[str, dict[str, tuple[str, ...]]] = {}
+    taken = {*choices, *ALWAYS}
+    for name, stated in _declared(space):
+        if "gives" not in stated:
+            continue
+        values, given = choices[name], stated["gives"]
+        if not isinstance(given, Mapping) or not given or values is None:
+            raise DefinitionError(
+                "space",
+                f"{name}: expected, beside values, gives as a list of values for each placeholder, such as "
+                f"{{speed: [10, 20]}}; got {given!r:.80}",
+            )
+        gives[name] = {}
+        for key, one in given.items():
+            texts = tuple(map(choice_text, one)) if isinstance(one, list) else ()
+            if len(texts) != len(values) or not all(text.isprintable() for text in texts):
+                raise DefinitionError(
+                    "space",
+                    f"{name}: gives {key}: expected a list of {len(values)} values, one for each of its values, "
+                    f"without control characters; got {one!r:.80}",
+                )
+            if key in taken:
+                raise DefinitionError("space", f"{name}: gives {key}, which has a value already")
+            taken.add(key)
+            gives[name][str(key)] = texts
+    return gives
 
 
 def _found(name: str, environment: Mapping[str, str], field: str) -> str:

@@ -135,6 +135,21 @@ def test_a_text_stands_in_place_of_a_parameter_that_is_absent() -> None:
     assert component.by_name["depth"].when == (("kind", ("cut-in",)),)
 
 
+def test_a_choice_decides_the_text_of_further_placeholders() -> None:
+    """Values that belong together, such as a speed and a radius, vary as one."""
+    gives = {"speed": [10, 20.5], "radius": ["9", "11.75"]}
+    space = {"scenario": {"turn": {"values": ["slow", "fast"], "gives": gives}}}
+    stated: dict[str, Any] = {"command": ["echo", "{speed}", "{radius}"], "space": space}
+    definition = Definition.of(stated)
+    for choice, words in (("slow", ("10", "9")), ("fast", ("20.5", "11.75"))):
+        assert definition.arguments(definition.texts({"turn": choice}))[1:] == words
+    again = Definition.of(definition.document())
+    assert again == definition
+    gives["speed"] = [10, 25]
+    assert Definition.of(stated).simulator_id("0") != definition.simulator_id("0")
+    assert [one.name for one in declared_space(space, definition).components[0].parameters] == ["turn"]
+
+
 @pytest.mark.parametrize(
     ("changed", "field", "words"),
     [
@@ -155,6 +170,22 @@ def test_a_text_stands_in_place_of_a_parameter_that_is_absent() -> None:
         ({"space": {"a": {"seed": {}}}}, "space", "names that differ"),
         ({"space": {"a": {"x": {"min": 0, "max": 1, "when": {"y": "b"}}}}}, "space", "beside when, absent"),
         ({"space": {"a": {"x": {"values": ["a\nb"]}}}}, "space", "control characters"),
+        (
+            {"space": {"a": {"x": {"values": ["a"], "gives": {"y": ["1", "2"]}}}}},
+            "space",
+            "a list of 1 values",
+        ),
+        (
+            {"space": {"a": {"x": {"min": 0, "max": 1, "gives": {"y": ["1"]}}}}},
+            "space",
+            "beside values, gives",
+        ),
+        (
+            {"space": {"a": {"x": {"values": ["a"], "gives": {"seed": ["1"]}}}}},
+            "space",
+            "has a value already",
+        ),
+        ({"space": {"a": {"x": {"values": ["a"], "gives": {"y": ["1"]}}}}}, "space", "placeholder {y}"),
     ],
 )
 def test_hostile_definitions_are_refused(changed: dict[str, Any], field: str, words: str) -> None:
