@@ -65,12 +65,16 @@ def run_experiment(
         InvalidInput: A campaign of the experiment cannot run.
         Conflict: An earlier run is unfinished, and neither ``resume`` nor ``new`` is set.
     """
+    problems = []
     for cell in body.cells()[: len(body.problems) * len(body.algorithms)]:
         try:
-            check_extra(make_checked_plan(cell.body).problem)
+            problems.append(make_checked_plan(cell.body).problem)
+            check_extra(problems[-1])
         except InvalidInput as error:
             raise cell.in_experiment(error) from None
     check_pairs(body)
+    for problem in problems:
+        problem.install()
     screen = console(stderr=options.json)
 
     async def finish(session: CommandSession, progress: ExperimentProgress) -> FinishedExperiment | None:

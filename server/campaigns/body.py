@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Iterable, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Self
+from typing import TYPE_CHECKING, Annotated, Any, Final, Self, TypeVar
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -108,6 +108,9 @@ class PluginChoice(Body):
         AfterValidator(check_printable),
     ]
     params: Annotated[JsonValues, Field(max_length=1_000)] = Field(default_factory=dict)
+
+
+Problem = TypeVar("Problem", bound=PluginChoice)
 
 
 class Budget(Body):
@@ -354,23 +357,29 @@ def read_campaign_file(path: Path) -> CampaignBody:
 
 
 def with_files(body: CampaignBody, folder: Path) -> CampaignBody:
-    """Return a campaign with the content of the files that its problem takes along, and the id of its program.
+    """Return a campaign whose problem takes its files along; see `problem_with_files`."""
+    return body.model_copy(update={"problem": problem_with_files(body.problem, folder, "/problem")})
+
+
+def problem_with_files(problem: Problem, folder: Path, pointer: str) -> Problem:
+    """Return a problem with the content of the files that it takes along, and the id of its program.
 
     Args:
-        body: The campaign, which names them by path.
+        problem: The problem, which names them by path.
         folder: Folder of relative paths.
+        pointer: JSON pointer to the problem, for errors.
 
     Raises:
         InvalidInput: A file cannot be read, or is not what it should be.
     """
-    params = dict(body.problem.params)
+    params = dict(problem.params)
     try:
-        for reader in entry_points(group=PROBLEM_FILES, name=body.problem.id):
+        for reader in entry_points(group=PROBLEM_FILES, name=problem.id):
             params = reader.load()(params, folder)
         if str(params.get("driving")).startswith("command:"):
             from brink.sim.driving_systems.command import read_reference  # loads the driving world
 
             params["driving"] = read_reference(str(params["driving"]), folder)
     except DefinitionError as error:
-        raise InvalidInput.at(f"/problem/params/{error.field}", str(error)) from None
-    return body.model_copy(update={"problem": PluginChoice(id=body.problem.id, params=params)})
+        raise InvalidInput.at(f"{pointer}/params/{error.field}", str(error)) from None
+    return problem.model_copy(update={"params": params})

@@ -17,6 +17,7 @@ from brink.server.campaigns.body import (
     Execution,
     PluginChoice,
     SeederSection,
+    problem_with_files,
 )
 from brink.server.documents import (
     Body,
@@ -265,7 +266,12 @@ def read_experiment_file(path: Path) -> ExperimentBody:
     """Read an experiment file.
 
     Raises:
-        InvalidInput: The file cannot be read, is not YAML, or is not an experiment.
+        InvalidInput: The file, or one that a problem names, cannot be read, or is not what it should be.
     """
     with errors_in_file(path):
-        return parse_experiment(read_yaml(path))
+        body = parse_experiment(read_yaml(path))
+        problems = [
+            problem_with_files(problem, path.parent, f"/problems/{place}")
+            for place, problem in enumerate(body.problems)
+        ]
+        return body.model_copy(update={"problems": problems})

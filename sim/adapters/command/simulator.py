@@ -31,6 +31,8 @@ from brink.user_file import read_text
 MAX_DEFINITION_BYTES: Final = 4 * 1024**2
 MAX_FOLDER_BYTES: Final = 256 * 1024**2
 """Maximum size of an episode's working folder, and of each file in it."""
+SEEDS: Final = 2**31
+"""Number of different seeds that a program gets: many programs read one as a signed integer of 32 bits."""
 KEPT_FAILURES: Final = 5
 """Number of working folders of failed episodes that are kept."""
 _MAX_RUNNING: Final = 10_000
@@ -162,7 +164,8 @@ class CommandSimulator:
         """
         spec.check_for(self.id, math.inf)
         source, requirements = signals_of(spec.options, spec.requirements)
-        texts = self._texts(spec) | {SEED: str(spec.seed), "out": str(folder), "number": str(number)}
+        always = {SEED: str(spec.seed % SEEDS), "out": str(folder), "number": str(number)}
+        texts = self._texts(spec) | always
         for name, content in self._definition.files(texts):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(content)

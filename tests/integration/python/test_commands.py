@@ -9,9 +9,14 @@ import pytest
 import yaml
 
 import brink
+from brink.cli import experiment_run
+from brink.cli.local import RunOptions
 from brink.server.campaigns.body import read_campaign_file
+from brink.server.campaigns.plan import make_checked_plan
+from brink.server.experiments.body import read_experiment_file
+from brink.server.problems.command import Command
 from brink.sim.errors import DefinitionError
-from brink.sim.programs.installed import COMMANDS_VARIABLE
+from brink.sim.programs.installed import COMMANDS_VARIABLE, OWN_FOLDER
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "command"
 
@@ -77,3 +82,28 @@ def test_where_no_program_may_run_that_is_said_instead_of_waiting_for_a_worker(
     monkeypatch.setenv(COMMANDS_VARIABLE, "")
     with pytest.raises(DefinitionError, match="BRINK_COMMANDS is empty; unset it, or name a folder"):
         run(tmp_path, "cut-in", 24)
+
+
+def test_an_experiment_allows_the_workers_of_this_machine_to_run_its_programs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(experiment_run, "run_to_end", lambda *given: None)  # reports take much longer
+    shutil.copytree(EXAMPLES, tmp_path, dirs_exist_ok=True)
+    study = {
+        "name": "study",
+        "problems": [yaml.safe_load(Path("cut-in.yaml").read_text())["problem"]],
+        "algorithms": [{"id": "random@1"}],
+        "seeds": [1],
+        "budget": {"simulations": 12},
+    }
+    file = Path("study.yaml")
+    file.write_text(yaml.safe_dump(study))
+    body = read_experiment_file(file)
+    options = RunOptions(
+        file=file, workers=1, out=tmp_path, resume=False, new=False, json=False, database=None, port=None
+    )
+    assert experiment_run.run_experiment(body, options) is None
+    problem = make_checked_plan(body.cells()[0].body).problem
+    assert isinstance(problem, Command)
+    assert (OWN_FOLDER / f"{problem.needs.removesuffix('@1')}.json").is_file()

@@ -4,8 +4,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
-from brink.server.campaigns.body import parse_body
+from brink.server.campaigns.body import parse_body, read_campaign_file
 from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
 from brink.server.experiments.body import MAX_CAMPAIGNS, parse_experiment, read_experiment_file
@@ -162,6 +163,23 @@ def test_the_examples_can_be_read() -> None:
     assert (edge.campaigns, edge.budget.simulations, edge.problems) == (40, 1300, body.problems)
     assert edge.algorithms[1:] == body.algorithms
     check_pairs(edge)
+
+
+def test_an_experiment_takes_along_the_files_of_its_problems(tmp_path: Path) -> None:
+    campaign = yaml.safe_load((EXAMPLES / "command" / "cut-in.yaml").read_text())
+    problems = [{"name": "bits", "id": "onemax@1"}, {**campaign["problem"], "name": "cut-in"}]
+    file = tmp_path / "study.yaml"
+    file.write_text(yaml.safe_dump(document(problems=problems)))
+    with pytest.raises(InvalidInput, match=r"settings\.json cannot be read") as raised:
+        read_experiment_file(file)
+    assert [error.pointer for error in raised.value.errors] == ["/problems/1/params/files"]
+
+    for name in ("cut_in.py", "settings.json"):
+        (tmp_path / name).write_bytes((EXAMPLES / "command" / name).read_bytes())
+    body = read_experiment_file(file).sized(seeds=1, simulations=10)
+    assert [problem.label for problem in body.problems] == ["bits", "cut-in"]
+    alone = read_campaign_file(EXAMPLES / "command" / "cut-in.yaml")
+    assert body.cells()[2].body.problem.params == alone.problem.params
 
 
 def test_the_example_of_all_searches_can_run() -> None:

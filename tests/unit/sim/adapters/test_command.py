@@ -96,6 +96,16 @@ def test_a_formula_over_several_signals_gives_the_verdict() -> None:
         verdict(1.0, "always >")
 
 
+def test_seeds_fit_in_a_signed_integer_of_32_bits(tmp_path: Path) -> None:
+    definition = definition_of(command=[sys.executable, "run.py", "{x}", "{seed}"])
+    simulator = CommandSimulator(definition, "0")
+    for seed, given in ((7, 7), (2**31 - 1, 2**31 - 1), (2**52 + 5, 5)):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        done = simulator.attempt(replace(spec_of(simulator, {"x": 0.0}), seed=seed), folder)
+        assert done.command[-1] == str(given)
+
+
 def test_placeholders_are_filled_and_escaped_by_the_ending_of_the_file() -> None:
     hostile = "\"'<&>$(id);{x}"
     definition = Definition.of(
