@@ -33,7 +33,7 @@ from brink.api.terminal import plain_table
 from brink.report.text import p_text
 from brink.search.analysis.comparison import difference
 from brink.search.analysis.statistics import compared, effect_size, holm
-from brink.search.metric import Metric
+from brink.search.analysis.threshold_comparison import close_ones, distinct_ones
 from brink.search.space import SearchSpace
 from brink.server.findings.words import counted
 from brink.sim.episode import digest_of
@@ -253,13 +253,10 @@ class Tally:
 
 def _distinct(thresholds: Sequence[Estimated], space: SearchSpace, d_th: float) -> int:
     """Return how many thresholds differ in kind or are at least d_th apart; each counts the first that is new."""
-    metric, taken = Metric.of_space(space), dict[tuple[str, ...], list[Any]]()
-    for one in thresholds:
-        row = one.at(space, one.middle)
-        others = taken.setdefault(tuple(one.kind), [])
-        if row is not None and (not others or (metric.between(row[None], np.array(others)) >= d_th).all()):
-            others.append(row)
-    return sum(map(len, taken.values()))
+    placed = [(one, row) for one in thresholds if (row := one.at(space, one.middle)) is not None]
+    kinds = [tuple(one.kind) for one, _ in placed]
+    close = close_ones(kinds, np.array([row for _, row in placed]), space, d_th)
+    return len(distinct_ones(dict(enumerate(close))))
 
 
 COLUMNS: Final[Mapping[str, tuple[str, str]]] = {

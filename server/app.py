@@ -18,6 +18,7 @@ from brink.server.api import (
     combinations,
     episodes,
     experiment_pairs,
+    experiment_thresholds,
     experiments,
     findings,
     jobs,
@@ -59,6 +60,7 @@ from brink.server.errors import Unavailable
 from brink.server.experiments.body import MAX_CAMPAIGNS
 from brink.server.experiments.pairs import PairCache
 from brink.server.experiments.service import ExperimentService, ScoreCache
+from brink.server.experiments.thresholds import ThresholdCache
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
 from brink.server.queue.wakeups import Wakeups, count_listening, listen
@@ -203,6 +205,7 @@ def _routes() -> list[BaseRoute]:
         tolerance.router,
         experiments.router,
         experiment_pairs.router,
+        experiment_thresholds.router,
         service.router,
         campaigns.overview_router,
         analysis.router,
@@ -310,6 +313,7 @@ def _context(
         tolerances=Tolerances(engines=engines, threads=analyses),
         thresholds=Thresholds(engines=engines, threads=analyses),
         experiment_pairs=PairCache(engines=engines, archives=archives, threads=scores),
+        experiment_thresholds=ThresholdCache(engines=engines, archives=archives, threads=scores),
         films=Films(engines=engines),
         seeds=seeds,
         metrics=metrics,

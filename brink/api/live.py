@@ -255,7 +255,7 @@ class ExperimentDisplay(LiveDisplay[ExperimentProgress]):
 
 
 class FollowUpsDisplay(ExperimentDisplay):
-    """Progress display of the follow-ups of an experiment's pairs."""
+    """Progress display of the follow-ups of an experiment."""
 
     async def fetch(self, api: Api, experiment: str) -> ExperimentProgress:
         """Return the progress of the follow-ups of an experiment."""

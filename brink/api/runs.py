@@ -133,7 +133,7 @@ class ExperimentRun:
     async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> ExperimentProgress | None:
         """Return the latest experiment from this file with one of these statuses and no deleted campaign, if any.
 
-        One that has finished counts as unfinished as long as follow-ups of its pairs have not.
+        One that has finished counts as unfinished as long as its follow-ups have not.
         """
         params = {"document_hash": self.body.document_hash(), "limit": 100}
         async for page in api.pages(ExperimentList, "/experiments", params):
@@ -147,8 +147,8 @@ class ExperimentRun:
         return None
 
     async def _is_followed_up(self, api: Api, one: ExperimentSummary) -> bool:
-        """Return whether an experiment has finished, but not the follow-ups of its pairs."""
-        if self.body.pairs is None or one.status is not CampaignStatus.FINISHED:
+        """Return whether an experiment has finished, but not its follow-ups."""
+        if not self.body.follow_ups() or one.status is not CampaignStatus.FINISHED:
             return False
         progress = await api.read(ExperimentProgress, f"/experiments/{one.id}/follow-ups")
         return progress.status in OPEN

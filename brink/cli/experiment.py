@@ -243,12 +243,14 @@ def pairs(
 
     Example: brink experiment pairs 3f2a --confirm 30 --component
     """
-    from brink.cli.experiment_pairs import fetch_experiment_pairs, follow_up_here, print_experiment_pairs
+    from brink.cli.experiment_findings import PAIRS, fetch_found, follow_up_here
+    from brink.cli.experiment_pairs import print_experiment_pairs
 
     settings = {key: value for key, value in (("eps", eps), ("d_th", d_th)) if value is not None}
     screen, complete = console(stderr=as_json), True
     if confirm or component:
         complete = follow_up_here(
+            PAIRS,
             name,
             settings,
             screen,
@@ -259,12 +261,70 @@ def pairs(
             database=database,
         )
     found = with_api(
-        server, database, lambda api: fetch_experiment_pairs(api, name, screen, alpha=alpha, **settings)
+        server, database, lambda api: fetch_found(api, PAIRS, name, screen, alpha=alpha, **settings)
     )
     if as_json:
         print_json(found.model_dump(mode="json"))
     else:
         print_experiment_pairs(screen, found)
+    raise typer.Exit(int(not complete))
+
+
+@experiment.command()
+def thresholds(
+    name: ExperimentId,
+    confirm: ConfirmPairs = None,
+    component: WithGroundTruth = False,
+    d_th: Annotated[
+        float | None,
+        typer.Option(
+            "--d-th",
+            min=0.0,
+            max=1.0,
+            show_default=False,
+            help="Smallest distance between two distinct thresholds of one kind (default: the experiment's, else "
+            "0.2).",
+        ),
+    ] = None,
+    alpha: Alpha = LEVEL,
+    workers: Workers = 2,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare algorithms by the thresholds that they found: where along one number drives turn unsafe.
+
+    What --confirm and --component find out is stored and shown from then on. Without --server, the command runs a
+    coordinator and workers until it is known; calling it again continues.
+
+    Example: brink experiment thresholds 3f2a
+
+    Example: brink experiment thresholds 3f2a --confirm 30 --component
+    """
+    from brink.cli.experiment_findings import THRESHOLDS, fetch_found, follow_up_here
+    from brink.cli.experiment_thresholds import print_experiment_thresholds
+
+    settings = {} if d_th is None else {"d_th": d_th}
+    screen, complete = console(stderr=as_json), True
+    if confirm or component:
+        complete = follow_up_here(
+            THRESHOLDS,
+            name,
+            settings,
+            screen,
+            confirm=confirm or 0,
+            component=component,
+            workers=workers,
+            server=server,
+            database=database,
+        )
+    found = with_api(
+        server, database, lambda api: fetch_found(api, THRESHOLDS, name, screen, alpha=alpha, **settings)
+    )
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        print_experiment_thresholds(screen, found)
     raise typer.Exit(int(not complete))
 
 

@@ -1,9 +1,11 @@
 """Running an experiment to its end on this machine, and its results as tables, figures and a report."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -11,28 +13,29 @@ from rich.console import Console
 from brink.api.client import Api
 from brink.api.live import ExperimentDisplay, Steps
 from brink.api.runs import ExperimentRun
-from brink.cli.experiment_pairs import (
-    fetch_experiment_pairs,
-    pair_repeats_of,
-    print_experiment_pairs,
-    run_follow_ups,
-)
+from brink.cli.experiment_findings import PAIRS, THRESHOLDS, FoundKind, V, fetch_found, run_follow_ups
+from brink.cli.experiment_pairs import pair_repeats_of, print_experiment_pairs
+from brink.cli.experiment_thresholds import print_experiment_thresholds, threshold_repeats_of
 from brink.cli.local import CommandSession, RunOptions, run_to_end
 from brink.cli.options import console, file_name, plain_table, print_json
-from brink.report.experiment import ReportedPairs, html_report, markdown_report, sentences
+from brink.report.experiment import ReportedPairs, ReportedThresholds, html_report, markdown_report, sentences
 from brink.search.analysis.comparison import Repeat, duels, standings
-from brink.search.analysis.pair_comparison import problems_of
+from brink.search.analysis.count_comparison import problems_of
 from brink.search.analysis.paper import LEVEL, Measure
 from brink.search.analysis.scores import Control, Figures, Scores
 from brink.server.api.experiment_pairs import ExperimentPairs
+from brink.server.api.experiment_thresholds import ExperimentThresholds
 from brink.server.api.experiments import Results
 from brink.server.api.schemas import ControlView, ExperimentProgress, RepeatView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
-from brink.server.experiments.body import ExperimentBody
-from brink.server.experiments.pairs import check_pairs
+from brink.server.experiments.body import ExperimentBody, FollowUpChoice
+from brink.server.experiments.checks import check_follow_ups
 from brink.server.problems.catalogue import check_extra
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +62,7 @@ def run_experiment(
         alpha: Corrected p-value up to which a difference is significant, in (0, 1).
 
     Returns:
-        The results; None if the experiment was stopped or ended unfinished, or follow-ups of its pairs did.
+        The results; None if the experiment was stopped or ended unfinished, or its follow-ups did.
 
     Raises:
         InvalidInput: A campaign of the experiment cannot run.
@@ -72,23 +75,18 @@ def run_experiment(
             check_extra(problems[-1])
         except InvalidInput as error:
             raise cell.in_experiment(error) from None
-    check_pairs(body)
+    check_follow_ups(body)
     for problem in problems:
         problem.install()
     screen = console(stderr=options.json)
 
     async def finish(session: CommandSession, progress: ExperimentProgress) -> FinishedExperiment | None:
-        complete = True
-        if body.pairs is not None and (body.pairs.confirm or body.pairs.component):
-            pairs = await fetch_experiment_pairs(session.api, progress.id, screen)
-            wanted = body.pairs
-            complete = await run_follow_ups(
-                session, pairs, confirm=wanted.confirm, component=wanted.component
-            )
-            if session.stop.is_set():
-                screen.print("stopped; nothing is lost")
-                session.hint("continue with", options.resume_command)
-                return None
+        complete = await _follow_up(session, THRESHOLDS, body.thresholds, progress.id)
+        complete &= session.stop.is_set() or await _follow_up(session, PAIRS, body.pairs, progress.id)
+        if session.stop.is_set():
+            screen.print("stopped; nothing is lost")
+            session.hint("continue with", options.resume_command)
+            return None
         results = await fetch_results(session.api, progress.id, screen, alpha=alpha)
         folder = options.out / f"{file_name(body.name)}-{progress.id}"
         with Steps(screen, "drawing the report"):
@@ -101,6 +99,16 @@ def run_experiment(
         return FinishedExperiment(results=results, folder=folder) if complete else None
 
     return run_to_end(ExperimentRun(body), options, screen, ExperimentDisplay(screen), finish)
+
+
+async def _follow_up(
+    session: CommandSession, kind: FoundKind[V], wanted: FollowUpChoice | None, experiment: str
+) -> bool:
+    """Follow up what an experiment found as its file asks; return whether nothing was refused or stopped."""
+    if wanted is None or not (wanted.confirm or wanted.component):
+        return True
+    found = await fetch_found(session.api, kind, experiment, session.screen)
+    return await run_follow_ups(session, kind, found, confirm=wanted.confirm, component=wanted.component)
 
 
 async def fetch_results(api: Api, experiment: str, screen: Console, *, alpha: float = LEVEL) -> Results:
@@ -150,6 +158,8 @@ def print_results(screen: Console, results: Results) -> None:
     if not repeats:
         screen.print("no campaign has finished yet")
         return
+    if results.thresholds is not None:
+        print_experiment_thresholds(screen, results.thresholds)
     if results.pairs is not None:
         print_experiment_pairs(screen, results.pairs)
     scored, compared = standings(repeats), duels(repeats, level=results.alpha)
@@ -204,6 +214,7 @@ def write_report(results: Results, elapsed_s: float, body: ExperimentBody, folde
                 name = f"figures/{measure}-{kind}{f'-{number}' if len(problems) > 1 else ''}.png"
                 draw(repeats, problem, measure).savefig(folder / name, dpi=DPI, metadata={"Software": None})
                 pictures[problem, measure, kind] = name
+    thresholds = None if results.thresholds is None else _write_thresholds(results.thresholds, folder)
     pairs = None if results.pairs is None else _write_pairs(results.pairs, folder)
     text = markdown_report(
         body,
@@ -212,6 +223,7 @@ def write_report(results: Results, elapsed_s: float, body: ExperimentBody, folde
         experiment=results.id,
         created_at=results.created_at,
         elapsed_s=elapsed_s,
+        thresholds=thresholds,
         pairs=pairs,
         level=results.alpha,
     )
@@ -219,21 +231,40 @@ def write_report(results: Results, elapsed_s: float, body: ExperimentBody, folde
     files[0].write_text(html_report(text, results.name, folder), encoding="utf-8")
     files[1].write_text(text, encoding="utf-8")
     files[2].write_text(results.model_dump_json(indent=1) + "\n", encoding="utf-8")
-    drawn = [*(pairs.pictures.values() if pairs else ()), *pictures.values()]
+    drawn = [name for found in (thresholds, pairs) if found for name in found.pictures.values()]
+    drawn += pictures.values()
     return [*files, *(folder / name for name in drawn)]
+
+
+def _write_thresholds(thresholds: ExperimentThresholds, folder: Path) -> ReportedThresholds:
+    """Draw the thresholds of each problem into the folder of a report."""
+    from brink.plots.experiment import figure_thresholds
+
+    repeats = threshold_repeats_of(thresholds)
+    pictures = _draw_each("thresholds", problems_of(repeats), partial(figure_thresholds, repeats), folder)
+    return ReportedThresholds(repeats=repeats, d_th=thresholds.d_th, pictures=pictures)
 
 
 def _write_pairs(pairs: ExperimentPairs, folder: Path) -> ReportedPairs:
     """Draw the pairs of each problem into the folder of a report."""
     from brink.plots.experiment import figure_pairs
-    from brink.plots.style import DPI
 
-    repeats, pictures = pair_repeats_of(pairs), {}
-    problems = problems_of(repeats)
-    for number, problem in enumerate(problems, start=1):
-        name = f"figures/pairs{f'-{number}' if len(problems) > 1 else ''}.png"
-        figure_pairs(repeats, problem).savefig(folder / name, dpi=DPI, metadata={"Software": None})
-        pictures[problem] = name
+    repeats = pair_repeats_of(pairs)
+    pictures = _draw_each("pairs", problems_of(repeats), partial(figure_pairs, repeats), folder)
     return ReportedPairs(
         repeats=repeats, eps=pairs.eps, d_th=pairs.d_th, pictures=pictures, left_out=pairs.left_out
     )
+
+
+def _draw_each(
+    stem: str, problems: Sequence[str], draw: "Callable[[str], Figure]", folder: Path
+) -> dict[str, str]:
+    """Draw a figure of each problem into the folder of a report; return the names of the files."""
+    from brink.plots.style import DPI
+
+    pictures = {}
+    for number, problem in enumerate(problems, start=1):
+        name = f"figures/{stem}{f'-{number}' if len(problems) > 1 else ''}.png"
+        draw(problem).savefig(folder / name, dpi=DPI, metadata={"Software": None})
+        pictures[problem] = name
+    return pictures

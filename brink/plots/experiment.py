@@ -1,10 +1,10 @@
-"""Figures of an experiment: pairs of each method, and DBS against d_th and against the share of the budget.
+"""Figures of an experiment: thresholds and pairs of each method, and DBS against d_th and the share of the budget.
 
 They show means over the seeds with 95% Student intervals; controls are dashed. Those of DBS are Figs. 5 and 6 of
-Sharifi et al. 2023; those of pairs are ours.
+Sharifi et al. 2023; those of thresholds and pairs are ours.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -26,17 +26,14 @@ from brink.plots.style import (
     show_percent,
     style_axes,
 )
+from brink.search.analysis import pair_comparison, threshold_comparison
 from brink.search.analysis.comparison import Line, Repeat, lines_of
-from brink.search.analysis.pair_comparison import (
-    PairMeasure,
-    PairRepeat,
-    by_method,
-    measure_of,
-    measure_words,
-)
+from brink.search.analysis.count_comparison import by_method
+from brink.search.analysis.pair_comparison import PairMeasure, PairRepeat
 from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Figures
 from brink.search.analysis.statistics import MeanInterval, mean_interval
+from brink.search.analysis.threshold_comparison import ThresholdMeasure, ThresholdRepeat
 from brink.search.space import FloatArray
 
 METHOD_COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#68727b")
@@ -132,23 +129,67 @@ def figure_pairs(repeats: Sequence[PairRepeat], problem: str) -> Figure:
         repeats: Finished campaigns.
         problem: Name of the problem.
     """
-    methods = by_method(repeats, problem)
-    compared_on = measure_of(repeats, problem)
-    confirmed = compared_on is PairMeasure.CONFIRMED
+    measure = pair_comparison.measure_of(repeats, problem)
+    confirmed = measure is PairMeasure.CONFIRMED
+    return _strips(
+        f"{problem}: {'confirmed distinct pairs' if confirmed else 'distinct pairs'} of each method",
+        "Rings: all distinct pairs, confirmed or not."
+        if confirmed
+        else pair_comparison.measure_words(repeats, problem),
+        "pairs in one campaign",
+        {
+            method: [(measure.of(one.counts), one.counts.distinct) for one in ours]
+            for method, ours in by_method(repeats, problem).items()
+        },
+        ringed=confirmed,
+    )
+
+
+def figure_thresholds(repeats: Sequence[ThresholdRepeat], problem: str) -> Figure:
+    """Plot the thresholds of each campaign on a problem: a strip for each method, with means and intervals.
+
+    Args:
+        repeats: Finished campaigns.
+        problem: Name of the problem.
+    """
+    measure = threshold_comparison.measure_of(repeats, problem)
+    confirmed = measure is ThresholdMeasure.CONFIRMED
+    return _strips(
+        f"{problem}: {'confirmed distinct thresholds' if confirmed else 'distinct thresholds'} of each method",
+        "Rings: all distinct thresholds, confirmed or not."
+        if confirmed
+        else threshold_comparison.measure_words(repeats, problem),
+        "thresholds in one campaign",
+        {
+            method: [(measure.of(one.counts), one.counts.distinct) for one in ours]
+            for method, ours in by_method(repeats, problem).items()
+        },
+        ringed=confirmed,
+    )
+
+
+def _strips(
+    title: str, note: str, label: str, methods: Mapping[str, Sequence[tuple[int, int]]], *, ringed: bool
+) -> Figure:
+    """Plot what each campaign found: a strip for each method, with means and intervals.
+
+    Args:
+        title: Title of the figure.
+        note: What is counted.
+        label: Label of the axis.
+        methods: The measure of each campaign, and all that it found, by method.
+        ringed: Whether rings show all that was found.
+    """
     height = 190 + 112 * len(methods)
     figure = new_figure(
-        height,
-        f"{problem}: {'confirmed distinct pairs' if confirmed else 'distinct pairs'} of each method",
-        "Each dot is a campaign; bars are means over the seeds with 95% intervals. "
-        + ("Rings: all distinct pairs, confirmed or not." if confirmed else measure_words(repeats, problem)),
+        height, title, f"Each dot is a campaign; bars are means over the seeds with 95% intervals. {note}"
     )
     axes = figure.add_axes((220 / WIDTH_PX, 62 / height, 1 - 480 / WIDTH_PX, 1 - (62 + 108) / height))
     highest = 0.0
     for place, ours in enumerate(methods.values()):
         colour = METHOD_COLOURS[place % len(METHOD_COLOURS)]
-        values = [compared_on.of(one.counts) for one in ours]
-        found = [one.counts.distinct for one in ours]
-        if confirmed:
+        values, found = [value for value, _ in ours], [all_found for _, all_found in ours]
+        if ringed:
             axes.plot(
                 found,
                 place + 0.3 + 0.5 * _stacked(found),
@@ -182,10 +223,10 @@ def figure_pairs(repeats: Sequence[PairRepeat], problem: str) -> Figure:
         )
     axes.set_yticks(range(len(methods)), list(methods))
     axes.set_ylim(len(methods) - 0.45, -0.6)
-    most = max(1.0, highest, *(one.counts.distinct for ours in methods.values() for one in ours))
+    most = max(1.0, highest, *(found for ours in methods.values() for _, found in ours))
     axes.set_xlim(-0.02 * most, 1.04 * most)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True))
-    axes.set_xlabel("pairs in one campaign")
+    axes.set_xlabel(label)
     style_axes(axes, grid="x")
     axes.tick_params(axis="y", labelsize=LABEL_PT, length=0, labelcolor=INK)
     return figure

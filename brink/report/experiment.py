@@ -16,6 +16,7 @@ from markdown_it import MarkdownIt
 
 from brink import __version__
 from brink.report.experiment_pairs import pair_methods, pair_section
+from brink.report.experiment_thresholds import threshold_methods, threshold_section
 from brink.report.text import interval_text, p_text, table_row
 from brink.search.analysis.comparison import (
     Duel,
@@ -43,7 +44,8 @@ from brink.search.analysis.paper import (
     Measure,
 )
 from brink.search.analysis.scores import DRAWS, ENOUGH_REPEATS
-from brink.server.api.experiment_pairs import LeftOutView
+from brink.search.analysis.threshold_comparison import ThresholdRepeat
+from brink.server.api.experiment_counts import LeftOutView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.experiments.body import ExperimentBody
 from brink.server.problems.catalogue import ODD
@@ -83,6 +85,21 @@ class ReportedPairs:
     left_out: Sequence[LeftOutView] = ()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportedThresholds:
+    """The thresholds of an experiment.
+
+    Attributes:
+        repeats: The thresholds of its finished campaigns.
+        d_th: Smallest distance between two distinct thresholds of one kind.
+        pictures: File name of the figure of each problem.
+    """
+
+    repeats: Sequence[ThresholdRepeat]
+    d_th: float
+    pictures: Mapping[str, str]
+
+
 def markdown_report(
     body: ExperimentBody,
     repeats: Sequence[Repeat],
@@ -91,10 +108,11 @@ def markdown_report(
     experiment: str,
     created_at: datetime,
     elapsed_s: float,
+    thresholds: ReportedThresholds | None = None,
     pairs: ReportedPairs | None = None,
     level: float = LEVEL,
 ) -> str:
-    """Return the report as Markdown: pairs first where the experiment asks for them, then DBS.
+    """Return the report as Markdown: thresholds and pairs first where the experiment asks for them, then DBS.
 
     Args:
         body: Body of the experiment.
@@ -103,6 +121,7 @@ def markdown_report(
         experiment: Id of the experiment.
         created_at: Time of submission.
         elapsed_s: Duration of the experiment.
+        thresholds: The thresholds, if the experiment asks for them.
         pairs: The pairs across the boundary, if the experiment asks for them.
         level: Corrected p-value up to which a difference is significant.
     """
@@ -110,6 +129,15 @@ def markdown_report(
     found_standings, found_duels = standings(repeats), duels(repeats, level=level)
     for problem in dict.fromkeys(repeat.problem for repeat in repeats):
         heading = f": {problem}" if len(body.problems) > 1 else ""
+        if thresholds is not None:
+            parts += threshold_section(
+                thresholds.repeats,
+                problem,
+                d_th=thresholds.d_th,
+                heading=heading,
+                picture=thresholds.pictures.get(problem),
+                level=level,
+            )
         if pairs is not None:
             parts += pair_section(
                 pairs.repeats,
@@ -122,7 +150,7 @@ def markdown_report(
                 level=level,
             )
         parts += [
-            f"## {'Conclusions' if pairs is None else 'Boundary solutions, as the paper counts them'}{heading}",
+            f"## {_dbs_heading(pairs, thresholds)}{heading}",
             "\n".join(sentences(repeats, found_standings, found_duels, problem)),
         ]
         for measure in Measure:
@@ -138,7 +166,7 @@ def markdown_report(
                 parts += ["### Comparisons as in the paper", paper_table]
             if found_leads := leads(repeats, problem, measure, DEFAULT_D_TH):
                 parts += ["### Differences by share of the budget", _leads_table(found_leads)]
-    parts += ["## Campaigns", _campaigns(repeats), "## Methods", _method(repeats, pairs)]
+    parts += ["## Campaigns", _campaigns(repeats), "## Methods", _method(repeats, thresholds, pairs)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -352,9 +380,17 @@ def _campaigns(repeats: Sequence[Repeat]) -> str:
     return "\n".join(rows)
 
 
-def _method(repeats: Sequence[Repeat], pairs: ReportedPairs | None) -> str:
+def _dbs_heading(pairs: ReportedPairs | None, thresholds: ReportedThresholds | None) -> str:
+    alone = pairs is None and thresholds is None
+    return "Conclusions" if alone else "Boundary solutions, as the paper counts them"
+
+
+def _method(
+    repeats: Sequence[Repeat], thresholds: ReportedThresholds | None, pairs: ReportedPairs | None
+) -> str:
     low = with_low_controls(repeats)
     items = [
+        *(() if thresholds is None else threshold_methods(thresholds.repeats)),
         *(() if pairs is None else pair_methods(pairs.repeats)),
         "**DBS**: solutions whose fitness is at most t_b, selected greedily, best first, each at least d_th from all "
         "those selected before. Extra simulations to complete the last generation are not counted.",

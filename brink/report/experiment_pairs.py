@@ -6,20 +6,19 @@
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from brink.report.text import interval_text, p_text, table_row
+from brink.report.experiment_counts import DASH, duel_words, duels_table, share_cell
+from brink.report.text import interval_text, table_row
 from brink.search.analysis.pair_comparison import (
-    PairDuel,
     PairMeasure,
     PairRepeat,
     PairStanding,
-    Proportion,
     measure_words,
     pair_duels,
     pair_standings,
 )
 from brink.search.analysis.paper import LEVEL
 from brink.search.sequential import ERROR, FIRST, FURTHER, LIMIT
-from brink.server.api.experiment_pairs import LeftOutView
+from brink.server.api.experiment_counts import LeftOutView
 
 COLUMNS: Final = (
     "distinct pairs",
@@ -30,7 +29,6 @@ COLUMNS: Final = (
 )
 """Columns of the table of methods."""
 _MEASURED: Final = {PairMeasure.CONFIRMED: "confirmed distinct pairs", PairMeasure.DISTINCT: "distinct pairs"}
-DASH: Final = "–"
 
 
 def settings_words(eps: float, d_th: float) -> str:
@@ -58,29 +56,10 @@ def standing_cells(one: PairStanding, *, computed: bool) -> list[str]:
     return [
         interval_text(one.distinct),
         confirmed,
-        DASH if computed else _share(one.precision, one.checked, unchecked, tried=one.tried),
-        DASH if computed else _share(one.overall, one.pairs, "no pair", tried=one.tried),
-        DASH if computed else _share(one.component, one.pairs, "no pair"),
+        DASH if computed else share_cell(one.precision, one.checked, unchecked, tried=one.tried),
+        DASH if computed else share_cell(one.overall, one.pairs, "no pair", tried=one.tried),
+        DASH if computed else share_cell(one.component, one.pairs, "no pair"),
     ]
-
-
-def _share(value: Proportion | None, total: int, none: str, *, tried: int = 0) -> str:
-    if value is not None:
-        return f"{value.share:.0%} [{value.low:.0%}, {value.high:.0%}], {value.count:,} of {value.of:,}"
-    if not total:
-        return none
-    return "too few drives" if tried else "not tried"
-
-
-def duel_words(duel: PairDuel) -> str:
-    """Return a comparison of two methods in words."""
-    figures = f"{duel.first_mean:.1f} {_MEASURED[duel.measure]} against {duel.second_mean:.1f}"
-    if duel.result.p_value is None:
-        return f"**{duel.first}** and **{duel.second}**: {figures}; {duel.says}."
-    return (
-        f"**{duel.first}** and **{duel.second}**: {figures}, A12 {duel.result.a12:.2f} ({duel.size}), "
-        f"p {p_text(duel.result.p_value)}, corrected {p_text(duel.adjusted)}; {duel.says}."
-    )
 
 
 def pair_sentences(repeats: Sequence[PairRepeat], problem: str, *, level: float = LEVEL) -> Iterator[str]:
@@ -94,7 +73,7 @@ def pair_sentences(repeats: Sequence[PairRepeat], problem: str, *, level: float 
     yield f"{measure_words(repeats, problem)}\n"
     for duel in pair_duels(repeats, level=level):
         if duel.problem == problem:
-            yield f"- {duel_words(duel)}"
+            yield f"- {duel_words(duel, _MEASURED[duel.measure])}"
 
 
 def left_out_sentences(left_out: Sequence[LeftOutView], problem: str | None = None) -> Iterator[str]:
@@ -155,33 +134,8 @@ def pair_section(
     )
     parts += ["### Means and shares", "\n".join(rows), legend]
     if duels := pair_duels(ours, level=level):
-        parts += ["### Comparisons of pairs", _duels_table(duels)]
+        parts += ["### Comparisons of pairs", duels_table(duels, _MEASURED[duels[0].measure])]
     return [*parts, "### Pairs of each campaign", _campaigns(ours)]
-
-
-def _duels_table(duels: Sequence[PairDuel]) -> str:
-    names = ["methods", _MEASURED[duels[0].measure], "U", "p", "corrected p", "A12", "conclusion"]
-    rows = [table_row(names), table_row(["---"] * len(names))]
-    for one in duels:
-        adjusted = p_text(one.adjusted)
-        rows.append(
-            table_row(
-                [
-                    f"{one.first} : {one.second}",
-                    f"{one.first_mean:.1f} : {one.second_mean:.1f}",
-                    f"{one.result.u:g}",
-                    p_text(one.result.p_value),
-                    f"**{adjusted}**" if one.differs else adjusted,
-                    f"{one.result.a12:.2f} {one.size}",
-                    one.says,
-                ]
-            )
-        )
-    legend = (
-        "*A12: probability that the first exceeds the second. Corrected: Holm's correction over the comparisons of "
-        f"this table whose values differ. Bold: p at most {duels[0].level:g}.*"
-    )
-    return "\n".join(rows) + f"\n\n{legend}"
 
 
 def _campaigns(repeats: Sequence[PairRepeat]) -> str:

@@ -11,24 +11,15 @@ distinct ones.
 Source: ours; docs/explanation/pairs.md.
 """
 
-import itertools
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Self
 
-from brink.search.analysis.comparison import difference, is_significant
 from brink.search.analysis.confirmation import Confirmation, Share, confirmation_of, is_judged
+from brink.search.analysis.count_comparison import CountDuel, Proportion, by_method, count_duels, problems_of
 from brink.search.analysis.paper import LEVEL
-from brink.search.analysis.statistics import (
-    Comparison,
-    MeanInterval,
-    compared,
-    effect_size,
-    holm,
-    mean_interval,
-)
-from brink.search.fitness import wilson_interval
+from brink.search.analysis.statistics import MeanInterval, mean_interval
 from brink.search.sequential import FIRST
 
 
@@ -137,38 +128,6 @@ class PairRepeat:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Proportion:
-    """A share of pooled counts, with its Wilson interval.
-
-    Attributes:
-        count: The ones counted.
-        of: All of them, at least one.
-        low: Lower limit of the 95% interval.
-        high: Its upper limit.
-    """
-
-    count: int
-    of: int
-    low: float
-    high: float
-
-    @property
-    def share(self) -> float:
-        """The share."""
-        return self.count / self.of
-
-    @classmethod
-    def pooled(cls, counts: Iterable[tuple[int, int]]) -> "Proportion | None":
-        """Return the share over pairs of counts and totals; None if there is nothing to count."""
-        found = list(counts)
-        count, of = sum(one for one, _ in found), sum(total for _, total in found)
-        if not of:
-            return None
-        low, high = wilson_interval(count, of)
-        return cls(count=count, of=of, low=float(low), high=float(high))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PairStanding:
     """The pairs of a method on a problem, over its campaigns.
 
@@ -208,62 +167,6 @@ class PairMeasure(StrEnum):
     def of(self, counts: PairCounts) -> int:
         """Return the measure of a campaign."""
         return counts.confirmed if self is PairMeasure.CONFIRMED else counts.distinct
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PairDuel:
-    """Two methods compared on a problem.
-
-    Attributes:
-        problem: Name of the problem.
-        first: The method whose larger values give an A12 above one half.
-        second: The other method.
-        measure: What they are compared on.
-        first_mean: Mean of the first method.
-        second_mean: Mean of the second method.
-        result: U, p-value and A12.
-        adjusted: The p-value, corrected for all comparisons of the problem; None if all values are equal.
-        level: Adjusted p-value up to which the difference is significant, in (0, 1).
-    """
-
-    problem: str
-    first: str
-    second: str
-    measure: PairMeasure
-    first_mean: float
-    second_mean: float
-    result: Comparison
-    adjusted: float | None
-    level: float = LEVEL
-
-    @property
-    def differs(self) -> bool:
-        """Whether the difference is significant after correction."""
-        return is_significant(self.adjusted, self.level)
-
-    @property
-    def size(self) -> str:
-        """The effect size in words, such as ``medium``."""
-        return effect_size(self.result.a12)
-
-    @property
-    def says(self) -> str:
-        """The conclusion, worded as the end of a sentence about the figures."""
-        return difference(self.result, self.adjusted, self.first, self.second, self.level)
-
-
-def by_method(repeats: Sequence[PairRepeat], problem: str) -> dict[str, list[PairRepeat]]:
-    """Return the campaigns on a problem by method, in the order of the experiment."""
-    grouped: dict[str, list[PairRepeat]] = {}
-    for repeat in repeats:
-        if repeat.problem == problem:
-            grouped.setdefault(repeat.method, []).append(repeat)
-    return grouped
-
-
-def problems_of(repeats: Collection[PairRepeat]) -> list[str]:
-    """Return the names of the problems, in the order of the experiment."""
-    return list(dict.fromkeys(repeat.problem for repeat in repeats))
 
 
 def pair_standings(repeats: Sequence[PairRepeat]) -> list[PairStanding]:
@@ -326,36 +229,19 @@ def measure_words(repeats: Sequence[PairRepeat], problem: str) -> str:
     )
 
 
-def pair_duels(repeats: Sequence[PairRepeat], *, level: float = LEVEL) -> list[PairDuel]:
+def pair_duels(repeats: Sequence[PairRepeat], *, level: float = LEVEL) -> list[CountDuel[PairMeasure]]:
     """Compare each pair of methods on a problem, with p-values corrected over the comparisons of the problem.
 
     Args:
         repeats: Finished campaigns.
         level: Adjusted p-value up to which a difference is significant, in (0, 1).
     """
-    return [duel for problem in problems_of(repeats) for duel in _duels(repeats, problem, level)]
-
-
-def _duels(repeats: Sequence[PairRepeat], problem: str, level: float) -> list[PairDuel]:
-    measure = measure_of(repeats, problem)
-    values = {
-        method: [float(measure.of(repeat.counts)) for repeat in ours]
-        for method, ours in by_method(repeats, problem).items()
-    }
-    pairs = list(itertools.combinations(values, 2))
-    results = [compared(values[first], values[second]) for first, second in pairs]
-    adjusted = holm([result.p_value for result in results])
-    return [
-        PairDuel(
-            problem=problem,
-            first=first,
-            second=second,
-            measure=measure,
-            first_mean=mean_interval(values[first]).mean,
-            second_mean=mean_interval(values[second]).mean,
-            result=result,
-            adjusted=p_value,
-            level=level,
-        )
-        for (first, second), result, p_value in zip(pairs, results, adjusted, strict=True)
-    ]
+    duels = []
+    for problem in problems_of(repeats):
+        measure = measure_of(repeats, problem)
+        values = {
+            method: [measure.of(repeat.counts) for repeat in ours]
+            for method, ours in by_method(repeats, problem).items()
+        }
+        duels += count_duels(problem, measure, values, level=level)
+    return duels

@@ -18,6 +18,7 @@ from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
 from brink.server.experiments.pairs import PairCache
 from brink.server.experiments.service import ExperimentService, ScoreCache
+from brink.server.experiments.thresholds import ThresholdCache
 from brink.server.findings.sources import Sources
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
@@ -45,6 +46,7 @@ class Context(Sources):
     pair_pictures: SingleFlightCache[tuple[bytes, bytes]]
     """Pictures of both sides of pairs."""
     experiment_pairs: PairCache
+    experiment_thresholds: ThresholdCache
     films: Films
     seeds: SeedSource
     metrics: Metrics
@@ -54,7 +56,7 @@ class Context(Sources):
     fits: ReadThreads
     """Threads for fitting monitors."""
     scores: ReadThreads
-    """Threads for the scores and pairs of campaigns, of which an experiment has hundreds."""
+    """Threads for the scores, pairs and thresholds of campaigns, of which an experiment has hundreds."""
     decoding: ThreadPoolExecutor
     """A thread for large messages: decoding one takes too long for the event loop, and several take much memory."""
 

@@ -5,46 +5,37 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 from pydantic import Field
 
+from brink.search.analysis.count_comparison import problems_of
 from brink.search.analysis.pair_comparison import (
     PairCounts,
     PairMeasure,
-    Proportion,
+    PairRepeat,
     measure_of,
     measure_words,
     pair_duels,
     pair_standings,
-    problems_of,
 )
 from brink.search.analysis.paper import LEVEL
-from brink.search.analysis.statistics import MeanInterval
 from brink.server.api.context import Context, Services
+from brink.server.api.experiment_counts import (
+    CountDuelView,
+    LeftOutView,
+    MeanView,
+    ProportionView,
+    duel_fields,
+    left_out_views,
+    mean_view,
+    proportion_view,
+)
 from brink.server.api.responses import COMPUTING, Alpha, computing
 from brink.server.campaigns.pairs import PairSettings
-from brink.server.experiments.pairs import SearchedCampaigns, settings_of
+from brink.server.experiments.pairs import settings_of
+from brink.server.experiments.searched import SearchedCampaigns
 from brink.server.experiments.store import Experiment
 from brink.server.findings.pairs.views import ConfirmationRule
 from brink.server.views import View
 
 router = APIRouter(prefix="/experiments", tags=["experiments"])
-
-
-class MeanView(View):
-    """A mean over the campaigns of a method, with its 95% interval."""
-
-    mean: float
-    low: Annotated[float | None, Field(description="Null with a single campaign.")]
-    high: float | None
-    repeats: int
-
-
-class ProportionView(View):
-    """A share of counts pooled over the campaigns of a method, with its 95% Wilson interval."""
-
-    count: int
-    of: int
-    share: float
-    low: float
-    high: float
 
 
 class PairStandingView(View):
@@ -80,28 +71,12 @@ class PairStandingView(View):
     ]
 
 
-class PairDuelView(View):
+class PairDuelView(CountDuelView):
     """Comparison of a method with another by their pairs."""
 
-    problem: str
-    first: str
-    second: str
     measure: Annotated[
         PairMeasure, Field(description="Whether confirmed or all distinct pairs are compared.")
     ]
-    first_mean: float
-    second_mean: float
-    u: float
-    p: Annotated[
-        float | None, Field(description="p value; null if all values are equal, and nothing is tested.")
-    ]
-    p_holm: Annotated[
-        float | None, Field(description="p value, corrected over all comparisons of this problem.")
-    ]
-    a12: float
-    effect: str
-    differs: Annotated[bool, Field(description="Whether the corrected p value is at most alpha.")]
-    says: Annotated[str, Field(description="Conclusion in words.")]
 
 
 class PairRepeatView(View):
@@ -134,16 +109,6 @@ class PairRepeatView(View):
     drives: Annotated[
         int, Field(description="Minimum number of drives with other seeds, over all sides of tried pairs.")
     ]
-
-
-class LeftOutView(View):
-    """A finished campaign whose pairs are not counted, because there are too many."""
-
-    problem: str
-    method: str
-    seed: int
-    campaign: str
-    reason: Annotated[str, Field(description="Which limit is exceeded, and which setting helps.")]
 
 
 class ProblemPairs(View):
@@ -226,7 +191,7 @@ async def find_experiment_pairs(
 
 
 def _view(
-    experiment: Experiment, settings: PairSettings, searched: SearchedCampaigns, alpha: float
+    experiment: Experiment, settings: PairSettings, searched: SearchedCampaigns[PairRepeat], alpha: float
 ) -> ExperimentPairs:
     repeats = searched.repeats
     return ExperimentPairs(
@@ -247,35 +212,20 @@ def _view(
             PairStandingView(
                 problem=one.problem,
                 method=one.method,
-                distinct=_mean(one.distinct),
-                confirmed=None if one.confirmed is None else _mean(one.confirmed),
+                distinct=mean_view(one.distinct),
+                confirmed=None if one.confirmed is None else mean_view(one.confirmed),
                 known=one.known,
                 pairs=one.pairs,
                 checked=one.checked,
                 tried=one.tried,
-                precision=_proportion(one.precision),
-                overall=_proportion(one.overall),
-                component=_proportion(one.component),
+                precision=proportion_view(one.precision),
+                overall=proportion_view(one.overall),
+                component=proportion_view(one.component),
             )
             for one in pair_standings(repeats)
         ],
         duels=[
-            PairDuelView(
-                problem=one.problem,
-                first=one.first,
-                second=one.second,
-                measure=one.measure,
-                first_mean=one.first_mean,
-                second_mean=one.second_mean,
-                u=one.result.u,
-                p=one.result.p_value,
-                p_holm=one.adjusted,
-                a12=one.result.a12,
-                effect=one.size,
-                differs=one.differs,
-                says=one.says,
-            )
-            for one in pair_duels(repeats, level=alpha)
+            PairDuelView(measure=one.measure, **duel_fields(one)) for one in pair_duels(repeats, level=alpha)
         ],
         repeats=[
             PairRepeatView(
@@ -288,29 +238,10 @@ def _view(
             )
             for one in repeats
         ],
-        left_out=tuple(
-            LeftOutView(
-                problem=one.member.problem,
-                method=one.member.method,
-                seed=one.member.campaign.body.seed,
-                campaign=one.member.campaign.id,
-                reason=one.reason,
-            )
-            for one in searched.left_out
-        ),
+        left_out=left_out_views(searched.left_out),
     )
 
 
 def _counts(counts: PairCounts) -> dict[str, Any]:
     fields = {name: getattr(counts, name) for name in PairCounts.__slots__}
     return fields if counts.tried or not counts.distinct else {**fields, "confirmed": None}
-
-
-def _mean(value: MeanInterval) -> MeanView:
-    return MeanView(mean=value.mean, low=value.low, high=value.high, repeats=value.repeats)
-
-
-def _proportion(value: Proportion | None) -> ProportionView | None:
-    if value is None:
-        return None
-    return ProportionView(count=value.count, of=value.of, share=value.share, low=value.low, high=value.high)

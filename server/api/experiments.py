@@ -15,6 +15,7 @@ from brink.search.analysis.scores import Control
 from brink.server.api.campaigns import deletion_view
 from brink.server.api.context import Context, Services
 from brink.server.api.experiment_pairs import ExperimentPairs, find_experiment_pairs
+from brink.server.api.experiment_thresholds import ExperimentThresholds, find_experiment_thresholds
 from brink.server.api.responses import (
     COMPUTING,
     NOT_MODIFIED,
@@ -48,6 +49,7 @@ from brink.server.experiments import store
 from brink.server.experiments.body import ExperimentBody
 from brink.server.experiments.pairs import settings_of
 from brink.server.experiments.store import Experiment
+from brink.server.experiments.thresholds import distance_of
 from brink.server.queue.job_store import count_unfinished
 from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus, JobStatus
@@ -123,6 +125,10 @@ class Results(View):
         ExperimentPairs | None,
         Field(description="Pairs across the boundary; null if the experiment has no section `pairs`."),
     ] = None
+    thresholds: Annotated[
+        ExperimentThresholds | None,
+        Field(description="Thresholds; null if the experiment has no section `thresholds`."),
+    ] = None
     standings: list[StandingView]
     duels: list[DuelView]
     repeats: list[RepeatView]
@@ -182,10 +188,10 @@ async def get_progress(
 
 @router.get("/{experiment_id}/follow-ups")
 async def get_follow_ups(experiment_id: str, services: Services) -> ExperimentProgress:
-    """Return counts and rates over the campaigns that follow up the pairs of an experiment.
+    """Return counts and rates over the campaigns that follow up the pairs and thresholds of an experiment.
 
-    These are the campaigns that simulate pairs again with other seeds or with ground truth, except cancelled and
-    failed ones.
+    These are the campaigns that simulate both sides of pairs or ends of thresholds again with other seeds or with
+    ground truth, except cancelled and failed ones.
     """
     experiment = await services.experiments.get(experiment_id)
     seen_s, trouble = services.settings.worker_seen_s, services.queue.writer.trouble
@@ -240,18 +246,24 @@ async def get_results(
 
     These are DBS and strict DBS at fractions of the budget, each computed from the solutions evaluated by then; means
     with intervals; and Mann-Whitney U with Vargha-Delaney A12 between methods. With a section `pairs`, also the pairs
-    across the boundary.
+    across the boundary; with a section `thresholds`, also the thresholds.
     """
     experiment = await services.experiments.get(experiment_id)
-    (repeats, missing), pairs = await asyncio.gather(
-        services.scorebook.repeats(experiment, wait_s), _pairs(experiment, services, wait_s, alpha)
+    (repeats, missing), pairs, thresholds = await asyncio.gather(
+        services.scorebook.repeats(experiment, wait_s),
+        _pairs(experiment, services, wait_s, alpha),
+        _thresholds(experiment, services, wait_s, alpha),
     )
     if missing:
         scored = f"scored {len(repeats)} of {len(repeats) + missing} finished campaigns"
         return computing(scored)  # type: ignore[no-any-return]
     if isinstance(pairs, str):
         return computing(pairs)  # type: ignore[no-any-return]
-    return await services.analyses.run(lambda: results_view(experiment, repeats, pairs, alpha))
+    if isinstance(thresholds, str):
+        return computing(thresholds)  # type: ignore[no-any-return]
+    return await services.analyses.run(
+        lambda: results_view(experiment, repeats, pairs, thresholds, alpha=alpha)
+    )
 
 
 async def _pairs(
@@ -261,6 +273,16 @@ async def _pairs(
     if experiment.body.pairs is None:
         return None
     return await find_experiment_pairs(services, experiment, settings_of(experiment.body), wait_s, alpha)
+
+
+async def _thresholds(
+    experiment: Experiment, services: Context, wait_s: float, alpha: float
+) -> ExperimentThresholds | str | None:
+    """Return an experiment's thresholds, if it asks for any, or a description of what is still being computed."""
+    if experiment.body.thresholds is None:
+        return None
+    d_th = distance_of(experiment.body)
+    return await find_experiment_thresholds(services, experiment, d_th, wait_s, alpha)
 
 
 RATE_S = 60.0
@@ -293,7 +315,7 @@ def _follow_up_summary(experiment: Experiment, campaigns: Sequence[Campaign]) ->
     open_ones = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
     return {
         "id": experiment.id,
-        "name": f"{experiment.body.name}: pairs again",
+        "name": f"{experiment.body.name}: simulated again",
         "status": next((status for status in open_ones if status in statuses), CampaignStatus.FINISHED),
         "campaigns": len(campaigns),
         "deleted": 0,
@@ -407,6 +429,8 @@ def results_view(
     experiment: Experiment,
     repeats: Sequence[Repeat],
     pairs: ExperimentPairs | None = None,
+    thresholds: ExperimentThresholds | None = None,
+    *,
     alpha: float = LEVEL,
 ) -> Results:
     """Return the result tables of an experiment."""
@@ -431,6 +455,7 @@ def results_view(
         d_ths=list(D_THS),
         alpha=alpha,
         pairs=pairs,
+        thresholds=thresholds,
         standings=[
             StandingView(
                 problem=one.line.problem,

@@ -53,7 +53,27 @@ class Method(Choice):
     llm: SeederSection = None
 
 
-class PairsChoice(Body):
+class FollowUpChoice(Body):
+    """How to follow up what the campaigns of an experiment found."""
+
+    confirm: Annotated[
+        int,
+        Field(
+            ge=0,
+            le=10_000,
+            description="Maximum number of simulations with other seeds of each side of each distinct pair, or of "
+            "both ends of each threshold: 0, or at least 15.",
+        ),
+    ] = 0
+    component: Annotated[
+        bool,
+        Field(
+            description="Whether to simulate each unsafe side or end with ground truth in place of the component."
+        ),
+    ] = False
+
+
+class PairsChoice(FollowUpChoice):
     """Which pairs across the boundary to count in every campaign, and how to follow them up."""
 
     eps: Annotated[
@@ -72,21 +92,19 @@ class PairsChoice(Body):
             description="Smallest distance between two distinct pairs, the same for all campaigns.",
         ),
     ] = DEFAULT_PAIRS_D_TH
-    confirm: Annotated[
-        int,
+
+
+class ThresholdsChoice(FollowUpChoice):
+    """Which thresholds to count in every campaign, and how to follow them up."""
+
+    d_th: Annotated[
+        float,
         Field(
             ge=0,
-            le=10_000,
-            description="Maximum number of simulations of each side of each distinct pair with other seeds: 0, "
-            "or at least 15.",
+            le=1,
+            description="Smallest distance between two distinct thresholds of one kind, the same for all campaigns.",
         ),
-    ] = 0
-    component: Annotated[
-        bool,
-        Field(
-            description="Whether to simulate each unsafe side with ground truth in place of the component."
-        ),
-    ] = False
+    ] = DEFAULT_PAIRS_D_TH
 
 
 class SeedRange(Body):
@@ -136,6 +154,10 @@ class ExperimentBody(Body):
         PairsChoice | None,
         Field(description="Compare the methods by the pairs across the boundary that they find, too."),
     ] = None
+    thresholds: Annotated[
+        ThresholdsChoice | None,
+        Field(description="Compare the methods by the thresholds that they find, too."),
+    ] = None
 
     @model_validator(mode="after")
     def _has_unique_names(self) -> Self:
@@ -162,11 +184,17 @@ class ExperimentBody(Body):
         return hash_document(self.document())
 
     def document(self) -> dict[str, Any]:
-        """Return the experiment as a document to submit or to store, without the section `pairs` if it has none."""
+        """Return the experiment as a document to submit or to store, without the optional sections that it lacks."""
         document = self.model_dump(mode="json")
-        if self.pairs is None:
-            del document["pairs"]  # the hashes of older submissions stay valid
+        for section in ("pairs", "thresholds"):
+            if document[section] is None:
+                del document[section]  # the hashes of older submissions stay valid
         return document
+
+    def follow_ups(self) -> dict[str, FollowUpChoice]:
+        """Return how to follow up what is compared, by the section that asks for it."""
+        sections = {"pairs": self.pairs, "thresholds": self.thresholds}
+        return {name: chosen for name, chosen in sections.items() if chosen is not None}
 
     def sized(self, seeds: int | None, simulations: int | None) -> "ExperimentBody":
         """Return the experiment at another size.

@@ -21,7 +21,7 @@ from brink.server.db.sql import DocumentTable
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.experiments import store
 from brink.server.experiments.body import ExperimentBody
-from brink.server.experiments.pairs import check_pairs
+from brink.server.experiments.checks import check_follow_ups
 from brink.server.experiments.store import EXPERIMENTS, Experiment
 from brink.server.single_flight import SingleFlightCache
 from brink.server.states import CampaignStatus
@@ -62,7 +62,7 @@ class ExperimentService(DocumentService[ExperimentBody, Experiment]):
             if campaign.first is not None:
                 left -= sum(map(len, campaign.first[1].generations))
             campaigns.append(campaign if left >= 0 else replace(campaign, first=None))
-        check_pairs(body)
+        check_follow_ups(body)
         return campaigns
 
     def _store(

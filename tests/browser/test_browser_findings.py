@@ -72,3 +72,34 @@ def test_thresholds_have_a_curve_each(
     shown(card.locator("svg circle")).to_have_count(len(one["dots"]) + 1)
     shown(card.get_by_role("link", name=str(one["pair"]["unsafe"]["number"]), exact=True)).to_be_visible()
     shown(page.get_by_role("region", name="What to do next")).to_contain_text("Do both ends hold?")
+
+
+def test_an_experiment_compares_methods_by_their_thresholds(
+    own: httpx.Client, visit: Visits, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(catalogue._registered, ALGORITHMS, {Sweep.id: Sweep})
+    line = along_x(0.0, [0.5, 0.7, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.5] * 3)
+    methods = {"along": line, "scattered": line[:2]}
+    body = {
+        "name": "turns",
+        "problems": [{"id": "ball@1"}],
+        "algorithms": [
+            {"name": name, "id": Sweep.id, "params": {"rows": rows}} for name, rows in methods.items()
+        ],
+        "seeds": [1, 2],
+        "budget": {"simulations": len(line)},
+        "thresholds": {},
+    }
+    experiment = expect(own.post("/api/v1/experiments", json=body), 201)
+    for member in experiment["members"]:
+        FakeWorker(own, judge=by_seed).work(member["campaign"])
+    page = visit(origin(own), f"#/experiments/{experiment['id']}")
+    card = page.get_by_role("region", name="Thresholds", exact=True)
+    shown(card).to_contain_text("no ends were simulated with other seeds, so none is confirmed")
+    shown(card).to_contain_text("along and scattered: distinct thresholds 1.0 against 0.0")
+    row = card.get_by_role("row").filter(has=page.get_by_role("rowheader", name="along", exact=True))
+    shown(row.get_by_role("cell")).to_have_text(["–", "–", "1.0 (1.0 to 1.0)", "1.0 (1.0 to 1.0)", "–", "–"])
+    shown(page.get_by_role("region", name="Pairs across the boundary")).to_be_hidden()
+    card.get_by_text("Campaigns", exact=True).click()
+    first = experiment["members"][0]["campaign"]
+    shown(card.get_by_role("link", name=first)).to_have_attribute("href", f"#/campaigns/{first}")

@@ -1,10 +1,9 @@
 """The thresholds of a campaign for people: in the units of the problem, in words, with drives at both ends."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 from sqlalchemy import Connection, Row
@@ -12,15 +11,15 @@ from sqlalchemy import Connection, Row
 from brink.search.analysis.confirmation import Share
 from brink.search.archive import Archive
 from brink.search.pairs import Steps
-from brink.search.parameters import Integer, Number
-from brink.search.space import FloatArray, IntArray
+from brink.search.parameters import Integer
 from brink.search.thresholds import CONFIDENCE, Outcome
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.follow_ups.follow_up import StoredFollowUp
 from brink.server.campaigns.follow_ups.kinds.confirm import Repeated
-from brink.server.campaigns.outcomes import SolutionOutcome, outcome_of
+from brink.server.campaigns.outcomes import SolutionOutcome
 from brink.server.campaigns.store import Campaign
+from brink.server.campaigns.threshold_ends import Ends, kind_of, read_outcome, row_at
 from brink.server.campaigns.thresholds import CampaignThresholds, Threshold
 from brink.server.errors import NotFound
 from brink.server.findings.follow_ups import ShareView
@@ -51,7 +50,6 @@ from brink.server.findings.thresholds.words import (
 )
 from brink.server.problems.base import Problem, SimulatedSolution
 from brink.server.problems.changes import as_sentence, changes_between
-from brink.server.states import SolutionVerdict
 
 _ROUNDING: Final = 1e-9
 _CURVE_DIGITS: Final = 5
@@ -103,60 +101,6 @@ def thresholds_view(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Ends:
-    """Simulated solutions on both sides of a threshold, by number.
-
-    Attributes:
-        safe: The safe one furthest from the 20% point, on its safe side, by at most a resolution. If there is none,
-            the nearest one on that side; else the one furthest from the unsafe side.
-        unsafe: The unsafe one, likewise, on the unsafe side of the 80% point.
-        values: Values of the two.
-        are_beyond: Whether both lie on these sides.
-    """
-
-    safe: int
-    unsafe: int
-    values: tuple[float, float]
-    are_beyond: bool
-
-    @classmethod
-    def of(cls, archive: Archive, one: Threshold) -> Self:
-        """Choose the solutions at both ends of a threshold."""
-        line, sign = one.line, 1.0 if one.line.rises else -1.0
-        along = sign * line.values
-        reach = np.inf if one.safe_again is None else sign * one.safe_again
-        safe = np.flatnonzero(~line.unsafe & (along < reach))
-        unsafe = np.flatnonzero(line.unsafe & (along < reach))
-        before = safe[along[safe] <= sign * one.start] if math.isfinite(one.start) else safe[:0]
-        after = unsafe[along[unsafe] >= sign * one.end] if math.isfinite(one.end) else unsafe[:0]
-        # Where chance has no part, the two points are simulated solutions.
-        more = 0.0 if one.end_interval == (one.start, one.end) else one.resolution
-        low = _end(-along, before, more - sign * one.start) if before.size else safe[np.argmin(along[safe])]
-        high = _end(along, after, more + sign * one.end) if after.size else unsafe[np.argmax(along[unsafe])]
-        numbers = archive.numbers[line.places[[low, high]]].tolist()
-        return cls(
-            safe=numbers[0],
-            unsafe=numbers[1],
-            values=(float(line.values[low]), float(line.values[high])),
-            are_beyond=bool(before.size and after.size),
-        )
-
-
-def _end(outwards: FloatArray, beyond: IntArray, furthest: float) -> int:
-    """Return the position of the end of a tight pair: the furthest one up to a limit, else the nearest one.
-
-    At the 20% point itself, a drive would be unsafe too often in half of the cases, so a resolution more is taken.
-
-    Args:
-        outwards: How far out each solution of the line is, shape ``(n,)``.
-        beyond: Positions of those that may be the end, at least one.
-        furthest: The limit.
-    """
-    within = beyond[outwards[beyond] <= furthest]
-    return int(within[np.argmax(outwards[within])] if within.size else beyond[np.argmin(outwards[beyond])])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Evidence:
     """What follow-ups showed: shares with other seeds, and by number what happens with ground truth."""
 
@@ -182,10 +126,9 @@ def _view(
         line.unit
     ]
     change = change_of(problem, safe, unsafe, changes_between(problem, safe, unsafe, units))
-    outcomes = [_outcome(problem, rows[number]) for number in (ends.safe, ends.unsafe)]
+    outcomes = [read_outcome(problem, rows[number]) for number in (ends.safe, ends.unsafe)]
     fails = outcomes[1].words(times=False)
     name = problem.space.column_names()[line.leading]
-    values = problem.space.decode(tuple(unsafe.vectors))
     parameter = parameter_words(problem, name, unsafe, amounts.unit)
     reached = [amounts.words(value) for value in sorted(line.ends, key=lambda value: value * amounts.per_1)]
     truth = evidence.truths.get(ends.unsafe) or ComponentView(state=ComponentPart.NOT_TRIED)
@@ -200,7 +143,7 @@ def _view(
         held=held(problem, first, last, line.unit),
         fails=fails,
         requirements=list(outcomes[1].episode.deciding) if outcomes[1].episode else [],
-        kind=[*problem.traits(name, values), fails],
+        kind=list(kind_of(problem, read.archive, one, fails)),
         names=[problem.space.column_names()[column] for column in line.unit],
         parameter=parameter,
         unit=amounts.unit,
@@ -249,15 +192,7 @@ def _sides(problem: Problem, one: Threshold, amounts: Amounts) -> list[float]:
 
 def _at(problem: Problem, archive: Archive, one: Threshold, value: float) -> SimulatedSolution:
     """Return the solution at a value of a line, without a result, since it need not have been simulated."""
-    line, space = one.line, problem.space
-    first, last = (archive.vectors[int(line.places[at])] for at in (0, -1))
-    share = (value - line.values[0]) / (line.values[-1] - line.values[0])
-    row = np.array(first)
-    for column in line.unit:
-        row[column] = first[column] + share * (last[column] - first[column])
-        if isinstance(number := space.parameters[column], Number):
-            row[column] = number.rounded(float(row[column]))
-    return SimulatedSolution(vectors=space.split(row))
+    return SimulatedSolution(vectors=problem.space.split(row_at(problem, archive, one, value)))
 
 
 def _least(amounts: Amounts, one: Threshold) -> float | None:
@@ -273,7 +208,6 @@ def _pair(
 ) -> TightPairView | None:
     if not ends.are_beyond or one.outcome is Outcome.CHANCY:
         return None
-    width = abs(ends.values[1] - ends.values[0])
     safe, unsafe = (
         EndView(number=number, value=amounts.at(value), outcome=outcome.words(), again=_share(share))
         for number, value, outcome, share in zip(
@@ -287,8 +221,8 @@ def _pair(
     return TightPairView(
         safe=safe,
         unsafe=unsafe,
-        width=amounts.apart(width),
-        tight=width <= one.stretch + 2 * one.resolution + _ROUNDING,
+        width=amounts.apart(ends.width),
+        tight=ends.are_tight,
         confirmation=evidence.repeated.state(ends.safe, ends.unsafe),
     )
 
@@ -313,12 +247,6 @@ def _curve(one: Threshold, amounts: Amounts) -> CurveView:
     columns = (shares.median, shares.low, shares.high)
     share, low, high = (np.round(column[order], _CURVE_DIGITS).tolist() for column in columns)
     return CurveView(value=values, share=share, low=low, high=high)
-
-
-def _outcome(problem: Problem, row: Row[Any]) -> SolutionOutcome:
-    result = json.loads(row.result) if row.result else None
-    safe = row.verdict == SolutionVerdict.SAFE
-    return outcome_of(problem, result, safe=safe, robustness=row.robustness)
 
 
 def _share(share: Share) -> ShareView:

@@ -13,11 +13,11 @@ from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, Aske
 from brink.server.campaigns.follow_ups.same_episodes import read_seeds
 from brink.server.campaigns.service import CampaignService
 from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.threshold_ends import Ends
 from brink.server.campaigns.thresholds import CampaignThresholds
 from brink.server.documents import Body
 from brink.server.errors import Conflict
 from brink.server.findings.sources import Sources
-from brink.server.findings.thresholds.analysis import Ends
 from brink.server.states import FollowUpKind
 
 
@@ -60,7 +60,7 @@ def ends_of(archive: Archive, found: CampaignThresholds, limit: int = MOST_PAIRS
     pairs = []
     for one in found.of(Outcome.THRESHOLD)[:limit]:
         ends = Ends.of(archive, one)
-        distance = abs(ends.values[1] - ends.values[0]) / one.range
+        distance = ends.width / one.range
         pair = Pair(safe=side(ends.safe), unsafe=side(ends.unsafe), distance=distance, units=(one.line.unit,))
         pairs.append(pair)
     return pairs

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from brink.cli.commands import app
 from brink.report.experiment_pairs import pair_section
-from brink.server.api.experiment_pairs import LeftOutView
+from brink.server.api.experiment_counts import LeftOutView
 from brink.server.problems.urban_injected import SIMULATOR
 
 API = "/api/v1/experiments"

@@ -7,12 +7,12 @@ import pytest
 from scipy import stats
 
 from brink.search.analysis.confirmation import Share
+from brink.search.analysis.count_comparison import Proportion
 from brink.search.analysis.pair_comparison import (
     DistinctPair,
     PairCounts,
     PairMeasure,
     PairRepeat,
-    Proportion,
     measure_of,
     measure_words,
     pair_duels,

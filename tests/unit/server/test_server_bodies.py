@@ -10,7 +10,7 @@ from brink.server.campaigns.body import parse_body, read_campaign_file
 from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
 from brink.server.experiments.body import MAX_CAMPAIGNS, parse_experiment, read_experiment_file
-from brink.server.experiments.pairs import check_pairs
+from brink.server.experiments.checks import check_follow_ups
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -109,6 +109,7 @@ def test_seeds_may_be_a_range() -> None:
         ({"pairs": {"eps": 2}}, "/pairs/eps", "less than or equal to 1"),
         ({"pairs": {"confirm": -1}}, "/pairs/confirm", "greater than or equal to 0"),
         ({"pairs": {"minimise": True}}, "/pairs/minimise", "one of component, confirm, d_th, eps"),
+        ({"thresholds": {"eps": 0.1}}, "/thresholds/eps", "one of component, confirm, d_th"),
     ],
 )
 def test_each_invalid_field_has_a_pointer(changes: dict[str, Any], pointer: str, message: str) -> None:
@@ -117,12 +118,21 @@ def test_each_invalid_field_has_a_pointer(changes: dict[str, Any], pointer: str,
     assert message in found[pointer]
 
 
-def test_experiments_without_pairs_are_stored_as_they_always_were() -> None:
+@pytest.mark.parametrize(
+    ("section", "defaults"),
+    [
+        ("pairs", {"confirm": 0, "component": False, "eps": 0.02, "d_th": 0.2}),
+        ("thresholds", {"confirm": 0, "component": False, "d_th": 0.2}),
+    ],
+)
+def test_experiments_without_optional_sections_are_stored_as_they_always_were(
+    section: str, defaults: dict[str, Any]
+) -> None:
     plain = parse_experiment(document())
     assert plain.document_hash() == "d1a1a45abcb12d7bc05dd534343c17a1a472549144d802da2fab39aa3a962c1f"
-    assert "pairs" not in plain.document()
-    asked = parse_experiment(document(pairs={}))
-    assert asked.document()["pairs"] == {"eps": 0.02, "d_th": 0.2, "confirm": 0, "component": False}
+    assert section not in plain.document()
+    asked = parse_experiment(document(**{section: {}}))
+    assert asked.document()[section] == defaults
     assert asked.document_hash() != plain.document_hash()
     assert parse_experiment(asked.document()) == asked
     assert [cell.body.document_hash() for cell in asked.cells()] == [
@@ -130,26 +140,30 @@ def test_experiments_without_pairs_are_stored_as_they_always_were() -> None:
     ]
 
 
+@pytest.mark.parametrize("section", ["pairs", "thresholds"])
 @pytest.mark.parametrize(
-    ("problem", "pairs", "pointer", "message"),
+    ("problem", "wanted", "message"),
     [
-        ("urban-injected@1", {"confirm": 4}, "/pairs/confirm", "expected 0, or at least 15"),
-        ("mtq@1", {"confirm": 30}, "/pairs/confirm", "computed, not simulated"),
-        ("mtq@1", {"component": True}, "/pairs/component", "no component that ground truth can replace"),
+        ("urban-injected@1", {"confirm": 4}, "expected 0, or at least 15"),
+        ("mtq@1", {"confirm": 30}, "computed, not simulated"),
+        ("mtq@1", {"component": True}, "no component that ground truth can replace"),
     ],
 )
 def test_follow_ups_that_tell_nothing_are_refused(
-    problem: str, pairs: dict[str, Any], pointer: str, message: str
+    section: str, problem: str, wanted: dict[str, Any], message: str
 ) -> None:
-    check_pairs(parse_experiment(document(problems=[{"id": problem}], pairs={})))
-    body = parse_experiment(
-        document(problems=[{"id": "urban-injected@1"}, {"name": "two", "id": problem}], pairs=pairs)
-    )
+    check_follow_ups(parse_experiment(document(problems=[{"id": problem}], **{section: {}})))
     with pytest.raises(InvalidInput) as raised:
-        check_pairs(body)
+        check_follow_ups(parse_experiment(document(problems=[{"id": problem}], **{section: wanted})))
     [error] = raised.value.errors
-    assert error.pointer == pointer
+    assert error.pointer == f"/{section}/{next(iter(wanted))}"
     assert message in error.message
+
+
+def test_follow_ups_leave_out_problems_with_computed_verdicts() -> None:
+    problems = [{"id": "urban-injected@1"}, {"name": "two", "id": "mtq@1"}]
+    wanted = {"confirm": 30, "component": True}
+    check_follow_ups(parse_experiment(document(problems=problems, pairs=wanted, thresholds=wanted)))
 
 
 def test_a_list_is_rejected_as_an_experiment() -> None:
@@ -162,7 +176,7 @@ def test_the_examples_can_be_read() -> None:
     edge = read_experiment_file(EXAMPLES / "edge-experiment.yaml")
     assert (edge.campaigns, edge.budget.simulations, edge.problems) == (40, 1300, body.problems)
     assert edge.algorithms[1:] == body.algorithms
-    check_pairs(edge)
+    check_follow_ups(edge)
 
 
 def test_an_experiment_takes_along_the_files_of_its_problems(tmp_path: Path) -> None:
@@ -185,6 +199,6 @@ def test_an_experiment_takes_along_the_files_of_its_problems(tmp_path: Path) -> 
 def test_the_example_of_all_searches_can_run() -> None:
     body = read_experiment_file(EXAMPLES / "thresholds-experiment.yaml")
     assert (body.campaigns, body.budget.simulations) == (4 * 9 * 10, 1300)
-    check_pairs(body)
+    check_follow_ups(body)
     for cell in body.cells()[: 4 * 9]:
         assert make_checked_plan(cell.body).body.budget.simulations == 1300

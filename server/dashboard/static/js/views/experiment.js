@@ -7,7 +7,7 @@ import { go, link, rewrite } from "../router.js";
 import { colour } from "../theme.js";
 import { chart, intervals, inWords } from "../parts/charts.js";
 import { badge, callout, facts, meter, NAMES, sure, thresholds } from "../parts/elements.js";
-import { pairsSection } from "./experiment/pairs.js";
+import { findingsSection, PAIRS, THRESHOLDS } from "./experiment/findings.js";
 import { loadWhenFinished, plainRow, pValue, sentence, tableOf, tested } from "./experiment/tables.js";
 
 export async function show(main, context, { parts: [, id], query }) {
@@ -28,12 +28,14 @@ export async function show(main, context, { parts: [, id], query }) {
       h("section.card", { "aria-labelledby": "members" }, h("h2", { id: "members" }, "Campaigns"), members)));
 
   const loading = loadWhenFinished(`${path}/results`, context, scoring, results.update);
-  const pairs = pairsSection(path, context);
-  results.before(pairs);
+  const found = [THRESHOLDS, PAIRS].map((kind) => [kind, findingsSection(kind, path, context)]);
+  results.before(...found.map(([, section]) => section));
   const want = () => {
     if (whole === null || finished === null) return;
     loading.want(finished);
-    if (whole.body.pairs) pairs.want(finished);
+    for (const [kind, section] of found) {
+      if (whole.body[kind.name]) section.want(finished);
+    }
   };
   let whole = null; // the experiment with its campaigns
   let finished = null; // how many of them have finished

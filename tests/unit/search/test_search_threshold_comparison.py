@@ -1,0 +1,132 @@
+"""Methods compared by their thresholds: what is distinct, what is known, and what they are compared on."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from brink.search.analysis.confirmation import Share
+from brink.search.analysis.threshold_comparison import (
+    FoundThreshold,
+    ThresholdCounts,
+    ThresholdMeasure,
+    ThresholdRepeat,
+    close_ones,
+    measure_of,
+    measure_words,
+    threshold_duels,
+    threshold_standings,
+)
+from brink.search.space import Component, Real, SearchSpace
+
+SPACE = SearchSpace((Component("where", (Real("x", 0.0, 1.0), Real("y", 0.0, 1.0))),))
+MISS, FALSE = ("miss", "hit the lead"), ("ghost", "hit the lead")
+SHARES = {
+    1: Share.of(0, 15), 2: Share.of(15, 15),  # confirmed
+    3: Share.of(4, 20), 4: Share.of(20, 20),  # undecided, but held
+    5: Share.of(7, 10), 6: Share.of(10, 10),  # refuted
+    7: Share.of(0, 4), 8: Share.of(4, 4),  # too few drives
+}  # fmt: skip
+
+
+def found(number: int, kind: tuple[str, ...] = MISS, near: tuple[int, ...] = ()) -> FoundThreshold:
+    return FoundThreshold(kind=kind, near=frozenset(near), ends=(number, number + 1), is_paired=True)
+
+
+def test_thresholds_of_one_kind_that_lie_close_together_count_once() -> None:
+    rows = np.array([[0.1, 0.5], [0.2, 0.5], [0.3, 0.5], [0.1, 0.5]])
+    near = close_ones([MISS, MISS, MISS, FALSE], rows, SPACE, 0.08)
+    assert near == [frozenset(), {0}, {1}, frozenset()], "a distance is a mean over both numbers"
+    chain = [FoundThreshold(kind=MISS, near=one, ends=(0, 1), is_paired=False) for one in near[:3]]
+    assert ThresholdCounts.of(chain, {}, {}).distinct == 2, "the one in the middle falls away, and only that"
+    assert close_ones([], np.empty(0), SPACE, 0.08) == []
+
+
+def test_thresholds_are_counted_by_what_is_known_of_them() -> None:
+    thresholds = [
+        found(1),
+        found(3, near=(0,)),
+        found(5, FALSE),
+        found(7, FALSE, near=(2,)),
+        replace(found(9, ("other",)), is_paired=False),
+    ]
+    counts = ThresholdCounts.of(thresholds, SHARES, {2: False, 4: True, 10: False, 99: True})
+    assert counts == ThresholdCounts(
+        found=5,
+        distinct=3,
+        kinds=3,
+        paired=4,
+        tried=4,
+        judged=3,
+        held=2,
+        confirmed=1,
+        confirmed_distinct=1,
+        confirmed_kinds=1,
+        refuted=1,
+        component=2,
+        scenario=1,
+        drives=4,
+    )
+    assert not counts.is_tried, "one has too few drives"
+    assert ThresholdCounts.of(thresholds[4:], SHARES, {}).is_tried, (
+        "without a tight pair, there is none to try"
+    )
+    second = {3: Share.of(0, 15), 4: Share.of(15, 15)}
+    assert ThresholdCounts.of(thresholds[:2], {**SHARES, **second}, {}).confirmed_distinct == 1
+    alone = ThresholdCounts.of(thresholds[1:2], second, {})
+    assert alone.confirmed_distinct == 1, "the sharper one near it is not there"
+    failed = ThresholdCounts.of([found(1)], {1: Share.of(0, 0, 15), 2: Share.of(0, 0, 15)}, {})
+    assert (failed.judged, failed.held) == (1, 0), "without a verdict, nothing holds"
+
+
+def repeats(methods: Mapping[str, list[ThresholdCounts]], *, computed: bool = False) -> list[ThresholdRepeat]:
+    return [
+        ThresholdRepeat(
+            problem="gap", method=method, seed=seed, campaign=f"{method}{seed}", computed=computed, counts=one
+        )
+        for method, ones in methods.items()
+        for seed, one in enumerate(ones)
+    ]
+
+
+NONE = ThresholdCounts.of([], {}, {})
+UNTRIED = ThresholdCounts.of([found(1)], {}, {})
+CONFIRMED = ThresholdCounts.of([found(1)], SHARES, {})
+FEW = ThresholdCounts.of([found(7)], SHARES, {})
+UNPAIRED = ThresholdCounts.of([replace(found(1), is_paired=False)], {}, {})
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "computed", "measure", "words"),
+    [
+        (CONFIRMED, NONE, False, ThresholdMeasure.CONFIRMED, "on confirmed distinct"),
+        (CONFIRMED, UNTRIED, False, ThresholdMeasure.DISTINCT, "ends of only 1 of 2"),
+        (CONFIRMED, FEW, False, ThresholdMeasure.DISTINCT, "1 of 2 have too few"),
+        (UNTRIED, UNTRIED, False, ThresholdMeasure.DISTINCT, "no ends were simulated"),
+        (UNTRIED, NONE, True, ThresholdMeasure.DISTINCT, "verdicts are computed"),
+        (UNPAIRED, NONE, False, ThresholdMeasure.DISTINCT, "none has simulated ends close enough"),
+        (NONE, NONE, False, ThresholdMeasure.DISTINCT, "No method found any threshold"),
+    ],
+)
+def test_methods_are_compared_on_confirmed_thresholds_only_if_all_are_known(
+    ours: ThresholdCounts, theirs: ThresholdCounts, computed: bool, measure: ThresholdMeasure, words: str
+) -> None:
+    campaigns = repeats({"a": [ours], "b": [theirs]}, computed=computed)
+    assert measure_of(campaigns, "gap") is measure
+    assert words in measure_words(campaigns, "gap")
+
+
+def test_what_was_not_tried_has_no_mean() -> None:
+    [mine, theirs] = threshold_standings(repeats({"a": [CONFIRMED, UNTRIED], "b": [CONFIRMED, NONE]}))
+    assert (mine.confirmed, mine.confirmed_kinds, mine.known) == (None, None, 1)
+    assert theirs.confirmed is not None
+    assert theirs.confirmed.mean == 0.5
+    assert (mine.held, mine.overall) == (theirs.held, theirs.overall)
+    assert mine.component is None
+
+
+def test_duels_are_those_of_the_measure() -> None:
+    [duel] = threshold_duels(repeats({"a": [CONFIRMED] * 4, "b": [NONE] * 4}))
+    assert (duel.result.u, duel.first_mean, duel.differs) == (16, 1, True)
+    assert duel.says == "a finds more"
