@@ -19,7 +19,7 @@ from types import MappingProxyType
 from typing import Any, Final, Protocol, cast
 
 from brink.extras import has_extra
-from brink.sim.episode import COMMAND_PREFIX, EpisodeResult, EpisodeSpec, Json
+from brink.sim.episode import COMMAND_PREFIX, FMU_PREFIX, EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import ExtraMissing, InvalidEpisode, PluginMissing
 from brink.sim.requirements import Requirement
 from brink.sim.sources import distribution_digest, is_own, module_digest, modules_digest
@@ -330,6 +330,8 @@ def worker_for(simulator_id: str) -> str:
         return f"the Python program that called brink.search() ({simulator_id})"
     if simulator_id.startswith(COMMAND_PREFIX):
         return f"a worker with --commands FOLDER, which has the same command and program ({simulator_id})"
+    if simulator_id.startswith(FMU_PREFIX):
+        return f"a worker with the extra fmu and --commands FOLDER, which has the same FMU ({simulator_id})"
     if simulator_id in _entry_points(SIMULATORS):
         return f"a worker ({simulator_id})"
     if retired_words(simulator_id) is not None:

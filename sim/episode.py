@@ -20,6 +20,8 @@ JsonObject: TypeAlias = "dict[str, Json]"
 
 COMMAND_PREFIX = "command-"
 """Beginning of the ids of simulators that run a program of a user; the digest of its definition follows."""
+FMU_PREFIX = "fmu-"
+"""Beginning of the ids of simulators that step an FMU of a user; the digest of its file follows."""
 MAX_SEED = 2**53 - 1
 """Largest episode seed: every integer up to it survives JSON parsers that store numbers as doubles."""
 

@@ -22,6 +22,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from brink.sim.adapters.command.simulator import register_commands
+from brink.sim.adapters.fmu.installed import register_fmus
 from brink.sim.catalogue import (
     EXTRAS,
     SIMULATORS,
@@ -138,7 +139,7 @@ def import_simulators() -> Hello:
     """Import every registered simulator and return which of them can be used."""
     simulators: list[str] = []
     lacking: dict[str, str] = {}
-    left_out = register_commands()
+    left_out = register_commands() | register_fmus()
     for simulator_id in simulator_ids():
         try:
             load_plugin(SIMULATORS, simulator_id)

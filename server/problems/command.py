@@ -16,7 +16,7 @@ from brink.search.shorthand import space_of
 from brink.search.space import SearchSpace
 from brink.server.problems.plain_values import PlainValues
 from brink.sim.adapters.command.definition import Definition
-from brink.sim.adapters.command.requirement import RequirementError, requirement_of
+from brink.sim.adapters.command.requirement import Requirement, RequirementError, requirement_of
 from brink.sim.adapters.command.signals import SignalError, SignalSource
 from brink.sim.adapters.command.simulator import install
 from brink.sim.errors import DefinitionError
@@ -82,15 +82,24 @@ class CommandParams:
             definition = Definition.of(asdict(self))
             declared_space(self.space, definition)
             SignalSource.of(self.signals)
-        if not 1 <= len(self.requirements) <= MAX_REQUIREMENTS:
-            raise ConfigError(
-                "requirements", f"expected 1 to {MAX_REQUIREMENTS} by name, got {len(self.requirements)}"
-            )
-        for name, stated in self.requirements.items():
-            try:
-                requirement_of(stated)
-            except RequirementError as error:
-                raise ConfigError("requirements", f"{name}: {error}") from None
+        checked_requirements(self.requirements)
+
+
+def checked_requirements(stated: Mapping[str, Any]) -> dict[str, Requirement]:
+    """Return the requirements that a campaign states, by name.
+
+    Raises:
+        ConfigError: There are none or too many, or one is malformed.
+    """
+    if not 1 <= len(stated) <= MAX_REQUIREMENTS:
+        raise ConfigError("requirements", f"expected 1 to {MAX_REQUIREMENTS} by name, got {len(stated)}")
+    made = {}
+    for name, one in stated.items():
+        try:
+            made[name] = requirement_of(one)
+        except RequirementError as error:
+            raise ConfigError("requirements", f"{name}: {error}") from None
+    return made
 
 
 @contextmanager

@@ -48,7 +48,7 @@ def drives_itself(params: Mapping[str, Any]) -> bool:
 
 
 def users_part(params: Mapping[str, Any]) -> str:
-    """Return what of a user runs in every simulation: a driving system or a program; empty if nothing does.
+    """Return what of a user runs in every simulation: a driving system, a program or an FMU; empty if nothing does.
 
     Args:
         params: Parameters of a problem.
@@ -56,7 +56,9 @@ def users_part(params: Mapping[str, Any]) -> str:
     if not drives_itself(params):
         return str(params["driving"])
     command = params.get("command")
-    return str(command[0]) if isinstance(command, list) and command else ""
+    if isinstance(command, list) and command:
+        return str(command[0])
+    return str(params.get("fmu", "")).partition("@")[0]
 
 
 def driving_params(params: Mapping[str, Any]) -> dict[str, Any]:

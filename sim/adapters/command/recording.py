@@ -1,4 +1,4 @@
-"""The trace of a command's episode: its signals and, if the log has positions, the drive from above."""
+"""The trace of an episode with signals: these and, if some are positions, the drive from above."""
 
 import math
 from dataclasses import replace
@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from brink.sim.adapters.command.attempt import Attempt
+from brink.sim.adapters.command.attempt import Judged
 from brink.sim.adapters.command.signals import EGO, FloatArray
 from brink.sim.adapters.recording import Actor, Pose, TopDownRecorder
 from brink.sim.episode import EpisodeSpec
@@ -18,13 +18,14 @@ SIZE_M: Final = (4.5, 1.8)
 MAX_SAMPLES: Final = 3000
 
 
-def trace_of(spec: EpisodeSpec, done: Attempt) -> Trace:
+def trace_of(spec: EpisodeSpec, done: Judged, *packages: str) -> Trace:
     """Return the trace of an episode, with at most `MAX_SAMPLES` samples.
 
     Args:
         spec: The episode.
         done: What came of it, with all signals. Positions are relative to the ego's first one; without any, the ego
             stays there.
+        packages: Further distributions whose versions decide the episode.
     """
     first = np.arange(0, len(done.time_s), math.ceil(len(done.time_s) / MAX_SAMPLES))
     time_s = done.time_s[first]
@@ -50,7 +51,7 @@ def trace_of(spec: EpisodeSpec, done: Attempt) -> Trace:
             {name: (vehicle, poses[sample]) for name, poses in positions.items()},
             robustness={name: float(series[sample]) for name, series in margins.items()},
         )
-    trace = recorder.trace(trace_header(spec, done.verdicts, versions_with()))
+    trace = recorder.trace(trace_header(spec, done.verdicts, versions_with(*packages)))
     signals = {name: values[first].astype(np.float32) for name, values in done.signals.items()}
     return replace(trace, signals=signals)
 

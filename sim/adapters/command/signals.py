@@ -1,4 +1,4 @@
-"""The signals of an episode: columns of the log that a program wrote, as arrays over time."""
+"""The signals of an episode as arrays over time: columns of a log that a program wrote, and formulas over these."""
 
 import csv
 import io
@@ -20,7 +20,8 @@ MAX_LOG_BYTES: Final = 64 * 1024**2
 MAX_COLUMNS: Final = 64
 EGO: Final = "ego"
 FORMATS: Final = (".csv", ".jsonl", ".json")
-_FIELDS: Final = ("file", "time", "columns", "positions")
+_DERIVED: Final = ("columns", "positions")
+_FIELDS: Final = ("file", "time", *_DERIVED)
 _MAX_HEADER_LINES: Final = 50
 _CALENDAR_S: Final = 1e8
 """A later first time is a time of day since 1970: the episode then begins at 0."""
@@ -32,45 +33,32 @@ class SignalError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SignalSource:
-    """Where the signals of an episode stand.
+class Signals:
+    """Which signals a campaign derives from recorded columns.
 
     Attributes:
-        file: Name of the log in the working folder: CSV with a header, JSON lines, or JSON.
-        time: Its column with the time in s.
         columns: Formula of each signal that is not a column itself, over columns.
         positions: Of the ego and other vehicles: the signals x and y in m and, if it is logged, the heading in rad.
     """
 
-    file: str
-    time: str
     columns: Mapping[str, Formula]
     positions: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, document: object) -> Self:
+    def of(cls, document: object) -> "Signals":
         """Return what a campaign says about its signals.
 
         Raises:
             SignalError: It is malformed, or a formula does not parse.
         """
-        if not isinstance(document, Mapping) or set(document) - set(_FIELDS) or "file" not in document:
-            raise SignalError(f"expected an object with {', '.join(_FIELDS)}; got {document!r:.80}")
-        name, time, columns = document["file"], document.get("time", "time"), document.get("columns", {})
-        parts = PurePosixPath(name) if isinstance(name, str) else PurePosixPath("/")
-        if parts.is_absolute() or ".." in parts.parts or not str(name).isprintable():
-            raise SignalError(f"file: expected a name inside the working folder, got {name!r:.80}")
-        if parts.suffix.lower() not in FORMATS:
-            raise SignalError(f"file: expected a name that ends with {', '.join(FORMATS)}; got {name!r:.80}")
-        if not isinstance(time, str) or not time:
-            raise SignalError(f"time: expected the name of a column, got {time!r:.80}")
+        if not isinstance(document, Mapping) or set(document) - set(_DERIVED):
+            raise SignalError(f"expected an object with {', '.join(_DERIVED)}; got {document!r:.80}")
+        columns = document.get("columns", {})
         if not isinstance(columns, Mapping) or len(columns) > MAX_COLUMNS:
             raise SignalError(
                 f"columns: expected at most {MAX_COLUMNS} formulas by name, got {columns!r:.80}"
             )
         return cls(
-            file=str(name),
-            time=time,
             columns={str(key): _formula(key, text) for key, text in columns.items()},
             positions=_positions(document.get("positions", {})),
         )
@@ -81,6 +69,74 @@ class SignalSource:
         return tuple(
             dict.fromkeys([*self.columns, *(one for names in self.positions.values() for one in names)])
         )
+
+    def formulas(self, names: Iterable[str]) -> dict[str, Formula]:
+        """Return the formula of each signal; that of a column is the column."""
+        return {name: self.columns.get(name) or Formula(f"`{name}`") for name in names}
+
+
+def needed_columns(formulas: Mapping[str, Formula]) -> list[str]:
+    """Return the columns that formulas are over, each once."""
+    return list(dict.fromkeys(name for formula in formulas.values() for name in formula.names))
+
+
+def evaluated(
+    formulas: Mapping[str, Formula], time_s: FloatArray, columns: Mapping[str, FloatArray], log: str
+) -> dict[str, FloatArray]:
+    """Return signals over time, shape ``(n,)`` each, all of them finite.
+
+    Args:
+        formulas: Their formulas.
+        time_s: Times, shape ``(n,)``.
+        columns: The columns that the formulas need, shape ``(n,)`` each.
+        log: What they come from, for messages.
+
+    Raises:
+        SignalError: A value is no finite number.
+    """
+    signals = {}
+    for name, formula in formulas.items():
+        values = np.broadcast_to(np.asarray(formula.evaluate(columns), np.float64), time_s.shape)
+        if not np.all(np.isfinite(values)):
+            first = int(np.argmin(np.isfinite(values)))
+            raise SignalError(
+                f"{log}: expected numbers, but {name} is {values[first]} at {time_s[first]:g} s"
+            )
+        signals[name] = values
+    return signals
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalSource(Signals):
+    """Where the signals of an episode stand.
+
+    Attributes:
+        file: Name of the log in the working folder: CSV with a header, JSON lines, or JSON.
+        time: Its column with the time in s.
+    """
+
+    file: str
+    time: str
+
+    @classmethod
+    def of(cls, document: object) -> Self:
+        """Return what a campaign says about its signals.
+
+        Raises:
+            SignalError: It is malformed, or a formula does not parse.
+        """
+        if not isinstance(document, Mapping) or set(document) - set(_FIELDS) or "file" not in document:
+            raise SignalError(f"expected an object with {', '.join(_FIELDS)}; got {document!r:.80}")
+        name, time = document["file"], document.get("time", "time")
+        parts = PurePosixPath(name) if isinstance(name, str) else PurePosixPath("/")
+        if parts.is_absolute() or ".." in parts.parts or not str(name).isprintable():
+            raise SignalError(f"file: expected a name inside the working folder, got {name!r:.80}")
+        if parts.suffix.lower() not in FORMATS:
+            raise SignalError(f"file: expected a name that ends with {', '.join(FORMATS)}; got {name!r:.80}")
+        if not isinstance(time, str) or not time:
+            raise SignalError(f"time: expected the name of a column, got {time!r:.80}")
+        derived = Signals.of({key: document[key] for key in _DERIVED if key in document})
+        return cls(file=str(name), time=time, columns=derived.columns, positions=derived.positions)
 
     def read(self, folder: Path, names: Iterable[str]) -> tuple[FloatArray, dict[str, FloatArray]]:
         """Return the times and some signals of an episode.
@@ -95,9 +151,8 @@ class SignalSource:
         Raises:
             SignalError: The log is missing, empty or too large, lacks a column, or has a value that is no number.
         """
-        formulas = {name: self.columns.get(name) or Formula(f"`{name}`") for name in names}
-        needed = dict.fromkeys([self.time, *(n for formula in formulas.values() for n in formula.names)])
-        raw = self._columns(folder, list(needed))
+        formulas = self.formulas(names)
+        raw = self._columns(folder, list(dict.fromkeys([self.time, *needed_columns(formulas)])))
         time_s = raw[self.time]
         if len(time_s) == 0:
             raise SignalError(f"{self.file} has no samples")
@@ -108,16 +163,7 @@ class SignalSource:
             )
         if time_s[0] > _CALENDAR_S:
             time_s = time_s - time_s[0]
-        signals = {}
-        for name, formula in formulas.items():
-            values = np.broadcast_to(np.asarray(formula.evaluate(raw), np.float64), time_s.shape)
-            if not np.all(np.isfinite(values)):
-                first = int(np.argmin(np.isfinite(values)))
-                raise SignalError(
-                    f"{self.file}: expected numbers, but {name} is {values[first]} at {time_s[first]:g} s"
-                )
-            signals[name] = values
-        return time_s, signals
+        return time_s, evaluated(formulas, time_s, raw, self.file)
 
     def _columns(self, folder: Path, names: Sequence[str]) -> dict[str, FloatArray]:
         path = folder / self.file

@@ -1,7 +1,6 @@
 """Runs a command for each episode, in a working folder of its own, and reads the signals that it logs."""
 
 import contextlib
-import fcntl
 import json
 import logging
 import math
@@ -9,7 +8,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +24,7 @@ from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import DefinitionError, InvalidEpisode, SimulationCrashed
 from brink.sim.programs import Ending, Supervisor, exit_words
 from brink.sim.programs.installed import commands_folder, own_folder
+from brink.sim.programs.working_folder import working_folder
 from brink.sim.provenance import provenance, versions_with
 from brink.user_file import read_text
 
@@ -35,7 +35,6 @@ SEEDS: Final = 2**31
 """Number of different seeds that a program gets: many programs read one as a signed integer of 32 bits."""
 KEPT_FAILURES: Final = 5
 """Number of working folders of failed episodes that are kept."""
-_MAX_RUNNING: Final = 10_000
 _LOOK_S: Final = 0.5
 _LIMITS: Final = {"RLIMIT_FSIZE": MAX_FOLDER_BYTES, "RLIMIT_CORE": 0}
 
@@ -127,7 +126,7 @@ class CommandSimulator:
             SimulationCrashed: The program failed, or logged no usable signals. Its folder is kept.
         """
         began_s = time.process_time()
-        with _working_folder() as (folder, number):
+        with working_folder() as (folder, number):
             try:
                 done = self.attempt(spec, folder, number, everything=record)
             except SimulationCrashed as error:
@@ -254,42 +253,6 @@ def _size(folder: Path) -> int:
             with contextlib.suppress(OSError):
                 size += os.lstat(os.path.join(parent, name)).st_size
     return size
-
-
-def _own_folder() -> Path:
-    """Return the folder of all working folders, which belongs to this user alone."""
-    folder = Path(tempfile.gettempdir()) / f"brink-commands-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    status = folder.lstat()
-    if status.st_uid != os.getuid() or folder.is_symlink():
-        raise SimulationCrashed(f"{folder} belongs to somebody else: set TMPDIR to a folder of your own")
-    return folder
-
-
-@contextlib.contextmanager
-def _working_folder() -> Iterator[tuple[Path, int]]:
-    """Yield an empty folder, and a number that no other episode running on this machine has.
-
-    The folder belongs to the number, so what an episode left that was killed is removed by the next one.
-    """
-    own = _own_folder()
-    for number in range(_MAX_RUNNING):
-        lock = os.open(own / f"{number}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(lock)
-            continue
-        folder = own / str(number)
-        try:
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir()
-            yield folder, number
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
-            os.close(lock)
-        return
-    raise SimulationCrashed(f"expected fewer than {_MAX_RUNNING:,} episodes at once in {own}")
 
 
 def _kept(folder: Path) -> Path:
