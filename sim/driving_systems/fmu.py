@@ -1,4 +1,4 @@
-"""An FMU as the longitudinal controller of a driving system: FMI 2.0, co-simulation.
+"""An FMU as the longitudinal controller of a driving system: FMI 2 or 3, co-simulation.
 
     command: [python3, -m, brink.sim.driving_systems.fmu, acc.fmu, acc-variables.yaml]
 
@@ -18,22 +18,18 @@ import json
 import os
 import socket
 import sys
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from brink.extras import install_command
+from brink.sim.fmi import FmuError, FmuFailed, Instance, read_model
+from brink.sim.programs.working_folder import working_folder
 
 INPUTS: Final = ("gap_m", "relative_speed_mps", "ego_speed_mps", "set_speed_mps")
 OUTPUTS: Final = ("accel_mps2", "brake_mps2")
 FREE_GAP_M: Final = 200.0
 MARGIN_M: Final = 0.3
-
-
-class FmuError(Exception):
-    """The FMU or the file with its variables does not fit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,70 +80,42 @@ class Fmu:
     Args:
         path: The FMU.
         variables: Its variables.
+        folder: An empty folder to unpack it into.
 
     Raises:
         FmuError: It has no co-simulation, is for another platform, or lacks a variable.
     """
 
-    def __init__(self, path: Path, variables: Variables) -> None:
-        try:
-            import fmpy
-            from fmpy.fmi2 import FMU2Slave
-        except ImportError:
-            raise FmuError(f"an FMU needs FMPy: {install_command('fmu')}") from None
-        about = fmpy.read_model_description(str(path))
-        if about.coSimulation is None or about.fmiVersion != "2.0":
-            raise FmuError(f"{path}: expected co-simulation by FMI 2.0; got FMI {about.fmiVersion}")
-        with zipfile.ZipFile(path) as archive:
-            built = {
-                name.split("/")[1]
-                for name in archive.namelist()
-                if name.startswith("binaries/") and name.count("/") > 1
-            }
-        if not built & {fmpy.platform, fmpy.platform_tuple}:
-            raise FmuError(
-                f"{path}: expected a build for {fmpy.platform}; it has {', '.join(sorted(built)) or 'none'}"
-            )
-        known = {one.name: one for one in about.modelVariables}
-        wanted = [*variables.inputs.values(), variables.output[1], *variables.parameters]
-        if missing := [name for name in wanted if name not in known]:
-            raise FmuError(f"{path}: no variable {', '.join(missing)}; it has {', '.join(known):.400}")
-        wrong = [name for name in wanted if known[name].type not in ("Real",)]
-        if wrong:
-            raise FmuError(f"{path}: expected a Real; {wrong[0]} is {known[wrong[0]].type}")
-        self._reference = {name: known[name].valueReference for name in wanted}
-        self._variables = variables
-        self._model = FMU2Slave(
-            guid=about.guid,
-            unzipDirectory=fmpy.extract(str(path)),
-            modelIdentifier=about.coSimulation.modelIdentifier,
-            instanceName="brink",
-        )
-        self._model.instantiate()
+    def __init__(self, path: Path, variables: Variables, folder: Path) -> None:
+        model = read_model(path)
+        _, output = variables.output
+        for name in (*variables.inputs.values(), output):
+            if not model.variable(name).is_real:
+                raise FmuError(f"{path.name}: expected a real number; {name} is {model.variable(name).kind}")
+        self._start_values = {
+            name: model.settable(name).number(value) for name, value in variables.parameters.items()
+        }
+        self._inputs = variables.inputs
+        self._instance = Instance(model, folder)
+        self._reader = self._instance.reader([output])
         self._time_s = 0.0
-        self._is_new = True
 
     def start(self) -> None:
         """Begin a drive at time 0."""
-        if not self._is_new:
-            self._model.reset()
-        self._is_new = False
-        self._model.setupExperiment(startTime=0.0)
-        self._set({name: float(value) for name, value in self._variables.parameters.items()})
-        self._model.enterInitializationMode()
-        self._model.exitInitializationMode()
+        self._instance.start(self._start_values)
         self._time_s = 0.0
 
     def step(self, inputs: Mapping[str, float], step_s: float) -> float:
-        """Return the output after a step of the FMU."""
-        self._set({name: inputs[kind] for kind, name in self._variables.inputs.items()})
-        self._model.doStep(currentCommunicationPoint=self._time_s, communicationStepSize=step_s)
-        self._time_s += step_s
-        return float(self._model.getReal([self._reference[self._variables.output[1]]])[0])
+        """Return the output after a step of the FMU.
 
-    def _set(self, values: Mapping[str, float]) -> None:
-        if values:
-            self._model.setReal([self._reference[name] for name in values], list(values.values()))
+        Raises:
+            FmuFailed: It reported an error, or asked to end.
+        """
+        self._instance.set({name: inputs[kind] for kind, name in self._inputs.items()})
+        if (ended_s := self._instance.step(self._time_s, step_s)) is not None:
+            raise FmuFailed(f"the FMU asked to end at {ended_s:g} s")
+        self._time_s += step_s
+        return float(self._reader.read()[0])
 
 
 def leader(step: Mapping[str, Any], start: Mapping[str, Any], free_gap_m: float) -> tuple[float, float]:
@@ -163,19 +131,24 @@ def leader(step: Mapping[str, Any], start: Mapping[str, Any], free_gap_m: float)
 
 def main() -> None:
     """Answer Brink's messages."""
-    channel = socket.socket(fileno=int(os.environ["BRINK_DRIVING_FD"])).makefile("rwb", buffering=1 << 16)
-
-    def say(name: str, content: object) -> None:
-        channel.write(json.dumps({name: content}).encode() + b"\n")
-        channel.flush()
-
     path = Path(sys.argv[1])
     try:
         variables = Variables.of(Path(sys.argv[2]))
-        fmu = Fmu(path, variables)
-    except FmuError as error:
+        with working_folder() as (folder, _):
+            drive(Fmu(path, variables, folder / "unpacked"), path.stem, variables)
+    except (FmuError, FmuFailed) as error:
         sys.exit(str(error))
-    say("hello", {"protocol": "brink-driving/1", "name": path.stem, "version": "1", "needs": "objects"})
+
+
+def drive(fmu: Fmu, name: str, variables: Variables) -> None:
+    """Answer Brink's messages with an FMU until Brink closes the socket."""
+    channel = socket.socket(fileno=int(os.environ["BRINK_DRIVING_FD"])).makefile("rwb", buffering=1 << 16)
+
+    def say(kind: str, content: object) -> None:
+        channel.write(json.dumps({kind: content}).encode() + b"\n")
+        channel.flush()
+
+    say("hello", {"protocol": "brink-driving/1", "name": name, "version": "1", "needs": "objects"})
     start: Mapping[str, Any] = {}
     ahead = (variables.free_gap_m, 0.0)
     for line in channel:

@@ -122,7 +122,7 @@ class Model:
             return self.variables[name]
         if name in self.others:
             raise FmuError(f"{self.path.name}: expected a scalar number; {name!r} is {self.others[name]}")
-        known = list(self.variables)
+        known = tuple(self.variables)
         raise FmuError(
             f"{self.path.name} has no variable {name!r}{nearest(name, known)}; it has {_listed(known)}"
         )

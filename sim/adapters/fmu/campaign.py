@@ -100,8 +100,7 @@ def _with_range(model: Model, name: str, variable: Variable, given: dict[str, An
             number = given.setdefault(key, 1)
             if not isinstance(number, int | float) or not float(number).is_integer():
                 raise DefinitionError(
-                    "space",
-                    f"{name}: expected whole numbers, since {variable.name} is {variable.kind}; got {number!r}",
+                    "space", f"{name}: expected whole numbers for {variable.kind}; got {number!r} as {key}"
                 )
             given[key] = int(number)
     return given | ({"unit": variable.unit} if variable.unit and "unit" not in given else {})

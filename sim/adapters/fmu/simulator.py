@@ -23,7 +23,7 @@ from brink.sim.programs.working_folder import working_folder
 from brink.sim.provenance import provenance, versions_with
 
 TIME: Final = "time"
-"""Name of the time in s among the signals, unless the FMU has a variable of that name."""
+"""Name of the time in s among the signals."""
 MAX_STEPS: Final = 1_000_000
 MAX_NUMBERS: Final = 50_000_000
 """Maximum number of recorded values of an episode."""
@@ -177,9 +177,7 @@ class FmuSimulator:
         source, requirements = stated.source, stated.requirements
         names = dict.fromkeys(name for one in requirements.values() for name in one.signals)
         formulas = source.formulas(dict.fromkeys([*names, *(source.named if everything else ())]))
-        variables = [
-            name for name in needed_columns(formulas) if name != TIME or name in self._model.variables
-        ]
+        variables = [name for name in needed_columns(formulas) if name != TIME]
         for name in variables:
             self._model.variable(name)
         if len(variables) * steps > MAX_NUMBERS:
