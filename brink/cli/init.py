@@ -79,6 +79,9 @@ def init(
     requirement: Annotated[
         str | None, typer.Option(metavar="FORMULA", help="What must hold throughout, such as 'gap_m > 0.5'.")
     ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of the numbers in the requirement, such as m.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Campaign file to write (YAML).")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     as_json: AsJson = False,
@@ -136,7 +139,7 @@ def init(
             default="",
             show_default=False,
         )
-    draft = _draft(out, logical, template, axes, command, log, time, requirement or None)
+    draft = _draft(out, logical, template, axes, command, log, time, requirement or None, unit)
     _check(draft, template, out.parent)
     written = {out: draft.text().encode()}
     if template is not None:
@@ -264,6 +267,7 @@ def _draft(
     log: str,
     time: str | None,
     requirement: str | None,
+    unit: str | None,
 ) -> Draft:
     guesses: dict[str, str] = {}
     if command is None:
@@ -280,7 +284,9 @@ def _draft(
     signals: dict[str, Any] = {"file": log, "time": time or ("TimeStamp [s]" if of_esmini else "time")}
     if requirement is not None:
         held = requirement if any(word in requirement for word in _TIMES) else f"always ({requirement})"
-        requirements: dict[str, Any] = {"safe": {"stl": held}}
+        requirements: dict[str, Any] = {"safe": {"stl": held, "unit": unit or "1"}}
+        if unit is None:
+            guesses["requirements"] = "the unit of its numbers, 1 if they have none"
     else:
         signals, requirements, guesses["requirements"] = _guessed_requirement(
             signals, logical, of_esmini=of_esmini
@@ -297,7 +303,7 @@ def _draft(
         origin=_origin(logical),
         command=words,
         files={} if template is None else {SCENARIO_FILE: f"{out.stem}-template.xosc"},
-        copies=copies | _scripts(words, out),
+        copies=_scripts(words, out, {SCENARIO_FILE, log}) | copies,
         axes=axes,
         constraints=() if logical is None else logical.constraints,
         signals=signals,
@@ -350,9 +356,10 @@ def _guessed_requirement(
     )
 
 
-def _scripts(words: Sequence[str], out: Path) -> dict[str, str]:
+def _scripts(words: Sequence[str], out: Path, known: set[str]) -> dict[str, str]:
     """Return the files here that arguments name by a relative path: the working folder needs a copy."""
-    named = [one for one in words[1:] if not Path(one).is_absolute() and ".." not in Path(one).parts]
+    relative = [one for one in words[1:] if not Path(one).is_absolute() and ".." not in Path(one).parts]
+    named = [one for one in relative if one not in known]
     return {one: _relative(Path(one), out) for one in named if Path(one).is_file()}
 
 

@@ -81,7 +81,7 @@ def _up_to(variation: Variation, value: float, *, without: bool = False) -> floa
             edges, weights = numbers["edges"], numbers["weights"]
             below = math.fsum(
                 weight * min(max((value - first) / (end - first), 0.0), 1.0)
-                for first, end, weight in zip(edges, edges[1:], weights, strict=True)
+                for first, end, weight in zip(edges[:-1], edges[1:], weights, strict=True)
             )
             return below / math.fsum(weights)
     assert variation.low is not None

@@ -187,8 +187,9 @@ class _Builder:
         known = {} if self._distributions is None else self._distributions.variations
         numbers = [one.name for one in self._declared.values() if one.type in NUMBERS]
         named = next((name for name in numbers if name in known), next(iter(numbers), "speed"))
+        root = self._stated.root
         return self._stated.error(
-            self._stated.root.children[-1],
+            root.first("ParameterValueDistribution") or root.first("ParameterDeclarations") or root,
             "expected parameters that vary, but each has a single value: give one a range, such as "
             f"--range {named}=LOW:HIGH",
         )
@@ -434,11 +435,11 @@ class _Builder:
             )
         conditions = [condition for _, condition in cases]
         if not axes and conditions[0] is False:
-            if not self._moving(declaration):
+            if not self._moving(declaration) and declaration.name not in self._fixed:
                 self._notes.append(f"{declaration.name}: its value violates its constraint in line {line}")
                 return
             raise self._document.error(
-                declaration.element, f"nothing in its range meets its constraint in line {line}"
+                declaration.element, f"no value in its range meets its constraint in line {line}"
             )
         if len(set(conditions)) == 1:
             cases = [((), conditions[0])]

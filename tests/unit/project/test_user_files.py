@@ -19,6 +19,7 @@ from brink.python.study import Study
 from brink.recordings.files import read_json
 from brink.recordings.reading import read_recording, read_settings
 from brink.recordings.recording import RecordingError
+from brink.scenarios.logical.document import read_document
 from brink.search.analysis.monitor import Monitor
 from brink.search.document import Document
 from brink.search.errors import DocumentError
@@ -53,6 +54,7 @@ READERS: dict[Callable[[Path], Any], type[Exception]] = {
     Study.load: OSError,
     GuardModel.load: OSError,
     guard_digest: InvalidEpisode,
+    read_document: InvalidInput,
     read_coco: DatasetError,
     read_settings: InvalidInput,
     lambda path: read_recording(path, path, format="csv"): RecordingError,
