@@ -195,7 +195,9 @@ def test_what_cannot_be_expressed_is_refused_by_element_and_line(name: str) -> N
     if "ParameterDeclaration" in scenario:
         scenario = Case(declarations=(scenario,), space={}).scenario
     with pytest.raises(InvalidInput, match=re.escape(words)):
-        logical_scenario(parsed(scenario), distribution and parsed(distribution, "variation.xosc"))
+        logical_scenario(
+            parsed(scenario), None if distribution is None else parsed(distribution, "variation.xosc")
+        )
 
 
 def test_missing_ranges_are_listed_together_or_kept() -> None:
