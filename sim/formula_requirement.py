@@ -45,7 +45,9 @@ _FACTS: Final = (
     *("heading_error_rad", "lane_left_m", "lane_right_m", "goal_reached", "may_wait", "in_conflict_area"),
     "brakes_for_nothing",
 )
-_DISTANCES: Final = ("front_gap_m", "pedestrian_gap_m", "nearest_gap_m", "stop_line_gap_m")
+_DISTANCES: Final = ("front_gap_m", "pedestrian_gap_m", "nearest_gap_m", "stop_line_gap_m", "road_edge_gap_m")
+RARE_SIGNALS: Final = ("road_edge_gap_m",)
+"""Signals that few simulators measure."""
 ACCELERATION: Final = "accel_mps2"
 SIGNALS: Final[Mapping[str, Callable[[WorldSample], float]]] = {
     **{name: attrgetter(name) for name in _FACTS},

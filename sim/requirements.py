@@ -92,6 +92,8 @@ class WorldSample:
         goal_reached: Whether the ego has reached the end of its route.
         brakes_for_nothing: Whether emergency braking is active and, since it began, no person has been in the warning
             region or heading into it.
+        road_edge_gap_m: How far the ego's body is inside the road, negative once a corner has left it; None if that
+            is not measured.
     """
 
     time_s: float
@@ -118,6 +120,7 @@ class WorldSample:
     in_conflict_area: bool = False
     goal_reached: bool = False
     brakes_for_nothing: bool = False
+    road_edge_gap_m: float | None = None
 
 
 class Requirement(Protocol):

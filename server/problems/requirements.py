@@ -7,7 +7,7 @@ from typing import Any, Final, TypeAlias
 from brink.formula import FormulaError
 from brink.search.errors import ConfigError
 from brink.server.errors import nearest
-from brink.sim.formula_requirement import SIGNALS, stated_formulas
+from brink.sim.formula_requirement import RARE_SIGNALS, SIGNALS, stated_formulas
 
 ANY: Final = "any"
 """Value of the parameter ``requirement`` that stands for all that a problem records."""
@@ -16,7 +16,7 @@ Stated: TypeAlias = str | list[str | dict[str, Any]] | dict[str, Any]
 """The parameter ``requirement``: an id, formulas by name, or a list of both."""
 
 
-def requirement_setting(default: str | Sequence[str], recorded: Sequence[str]) -> Any:
+def requirement_setting(default: str | Sequence[str | dict[str, Any]], recorded: Sequence[str]) -> Any:
     """Return the field ``requirement`` of a problem's parameters, annotated `Stated`.
 
     Args:
@@ -50,7 +50,12 @@ def chosen_requirements(given: Stated, recorded: Sequence[str]) -> tuple[str, ..
 
 
 def check_requirements(
-    given: Stated, known: Sequence[str], *, duration_s: float, not_recorded: Collection[str] = ()
+    given: Stated,
+    known: Sequence[str],
+    *,
+    duration_s: float,
+    not_recorded: Collection[str] = (),
+    recorded: Collection[str] = (),
 ) -> None:
     """Check the parameter ``requirement``.
 
@@ -59,6 +64,7 @@ def check_requirements(
         known: Requirements that the problem's simulator can evaluate.
         duration_s: Length of an episode.
         not_recorded: Signals that it does not measure.
+        recorded: Those among `RARE_SIGNALS` that it measures.
 
     Raises:
         ConfigError: It names none, one that is unknown, or one more than once, or a formula is wrong.
@@ -69,7 +75,8 @@ def check_requirements(
     if len(set(chosen)) < len(chosen):
         raise ConfigError("requirement", f"expected each requirement once, got {given!r}")
     formulas = formulas_in(given)
-    check_formulas(formulas, [name for name in SIGNALS if name not in not_recorded], duration_s)
+    lacking = {*not_recorded, *RARE_SIGNALS} - set(recorded)
+    check_formulas(formulas, [name for name in SIGNALS if name not in lacking], duration_s)
     for name in formulas:
         if name == ANY or name in {one.partition("@")[0] for one in known}:
             raise ConfigError("requirement", f"expected a name of your own for a formula, got {name!r}")

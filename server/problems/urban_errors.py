@@ -4,7 +4,7 @@ The scenario is that of `urban-injected@1`. The behaviour is a number of errors 
 without any, the detector reports the truth. Source: ours; see docs/explanation/tolerance.md.
 """
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -80,15 +80,22 @@ class UrbanErrorsParams(UrbanParams):
     )
 
 
-def errors_component(count: int, duration_s: float, types: Iterable[ErrorType] = BOX_TYPES) -> Component:
+def errors_component(
+    count: int,
+    duration_s: float,
+    types: Iterable[ErrorType] = BOX_TYPES,
+    *,
+    targets: Sequence[Target] = tuple(Target),
+    onsets: Sequence[Onset] = tuple(Onset),
+) -> Component:
     """Return the component of up to `count` errors of some types in episodes of a length."""
     kinds = tuple(types)
     return slots_component(
         [
             (
                 Categorical(name=prefix + "type", choices=(NO_ERROR, *(kind.value for kind in kinds))),
-                Categorical(name=prefix + "target", choices=tuple(item.value for item in Target)),
-                Categorical(name=prefix + "onset", choices=tuple(item.value for item in Onset)),
+                Categorical(name=prefix + "target", choices=tuple(item.value for item in targets)),
+                Categorical(name=prefix + "onset", choices=tuple(item.value for item in onsets)),
                 Real(
                     name=prefix + "onset_s",
                     low=0.0,
@@ -119,7 +126,7 @@ class UrbanErrors(Driven, PerceptionErrors[DetectionError]):
     summary: ClassVar[str] = "Urban driving with errors of the obstacle detector relative to the truth."
     params_type: ClassVar[type[Any]] = UrbanErrorsParams
     errors_problem = "urban-errors@1"
-    recorded = REQUIREMENTS
+    recorded: ClassVar[tuple[str, ...]] = REQUIREMENTS
     measures = URBAN_MEASURES
     magnitudes = MAGNITUDES
     onset_fields = WINDOW_FIELDS

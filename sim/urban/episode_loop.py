@@ -231,6 +231,7 @@ def run_loop(
     latency_s: float = LATENCY_S,
     perception_step_s: float = PERCEPTION_STEP_S,
     to_the_end: bool = False,
+    facts: Facts | None = None,
 ) -> Outcome:
     """Run an episode until the goal, the ego's first collision, or the end of its duration.
 
@@ -249,6 +250,7 @@ def run_loop(
         latency_s: Time from an image to the arrival of what was detected in it; rounded to control steps.
         perception_step_s: Time between images, a multiple of `CONTROL_STEP_S`.
         to_the_end: Continue after the goal and after collisions, to measure the cost of a full episode.
+        facts: Measures the world in place of `Facts`.
     """
     last_step = round(duration_s / perception_step_s)
     sensing = Sensing(
@@ -260,7 +262,7 @@ def run_loop(
         step_s=perception_step_s,
         detects=detects,
     )
-    facts = Facts(world, engine)
+    facts = Facts(world, engine) if facts is None else facts
     loop = _Loop(
         world=world,
         driving=driving,

@@ -93,12 +93,8 @@ class Facts:
         self._ego_radius_m = 0.5 * math.hypot(ego.length_m, ego.width_m)
         self._ego_height_m = ego.model.height_m
         blocks = [_block(ego.length_m, ego.width_m, self._ego_height_m, ego.x_m, ego.y_m, ego.yaw_rad)]
-        blocks += [
-            _block(v.length_m, v.width_m, v.size.height_m, v.x_m, v.y_m, v.yaw_rad) for v in world.vehicles
-        ]
-        blocks += [
-            _block(w.length_m, w.width_m, PERSON_HEIGHT_M, w.x_m, w.y_m, w.yaw_rad) for w in world.walkers
-        ]
+        blocks += [_mover_block(vehicle, vehicle.size.height_m) for vehicle in world.vehicles]
+        blocks += [_mover_block(walker, PERSON_HEIGHT_M) for walker in world.walkers]
         still = fixtures(world.road)
         blocks += [_block(f.length_m, f.width_m, f.height_m, f.x_m, f.y_m, f.yaw_rad) for f in still]
         ids = engine.add_blocks(blocks)
@@ -335,3 +331,9 @@ class Facts:
 
 def _block(length_m: float, width_m: float, height_m: float, x_m: float, y_m: float, yaw_rad: float) -> Block:
     return Block(length_m=length_m, width_m=width_m, height_m=height_m, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)
+
+
+def _mover_block(user: RoadUser, height_m: float) -> Block:
+    """Return the body of a road user; one who is absent, at NaN, comes later."""
+    x_m, y_m, yaw_rad = (0.0 if math.isnan(one) else one for one in (user.x_m, user.y_m, user.yaw_rad))
+    return _block(user.length_m, user.width_m, height_m, x_m, y_m, yaw_rad)

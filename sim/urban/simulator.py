@@ -149,7 +149,7 @@ class BrinkDriveErrors(BrinkDrive):
     id = ERRORS_SIMULATOR_ID
 
     def _detector(self, spec: EpisodeSpec) -> "UrbanDetector":
-        return _WithErrors(errors_from_json(spec.behaviour, spec.duration_s), spec)
+        return DetectorWithErrors(errors_from_json(spec.behaviour, spec.duration_s), spec)
 
 
 class UrbanDetector(Protocol):
@@ -186,7 +186,7 @@ class _Injected:
         return {DELIVERED: steps_to_json(outcome.delivered)}
 
 
-class _WithErrors:
+class DetectorWithErrors:
     """The ground truth with errors."""
 
     def __init__(self, errors: Sequence[DetectionError], spec: EpisodeSpec) -> None:
@@ -196,6 +196,7 @@ class _WithErrors:
         self._started: ErroneousDetector | ErroneousObjects | None = None
 
     def start(self, world: World, camera: Camera) -> Detects:
+        """Return the detector for a new world."""
         if "on" in self._spec.behaviour:
             steps = round(self._spec.duration_s / PERCEPTION_STEP_S) + 1
             self._started = ErroneousObjects(world, camera, self._errors, seed=self._spec.seed, steps=steps)

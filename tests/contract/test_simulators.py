@@ -30,6 +30,7 @@ PROBLEMS: dict[str, dict[str, object]] = {
     "urban-injected@1": {"duration_s": 6.0},
     "urban-errors@1": {"duration_s": 6.0},
     "urban-fitted@1": {"duration_s": 6.0},
+    "commonroad@1": {"duration_s": 3.0},
     "highway-perception@1": {"duration_s": 5.0, "roads": ["highway", "roundabout"]},
     "gymnasium@1": {"perturbations": 2, "reset": {"high": [0.0, 0.1]}},
 }

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from brink.server.problems.catalogue import make_problem
+from brink.server.problems.commonroad import NOT_RECORDED as COMMONROAD_LACKS
 from brink.server.problems.highway import NOT_RECORDED as HIGHWAY_LACKS
 from brink.server.problems.sumo import NOT_RECORDED as SUMO_LACKS
 from brink.sim.formula_requirement import SIGNALS
@@ -23,6 +24,7 @@ ANY = {
     "urban-errors@1": "requirement",
     "urban-camera@1": "requirement",
     "urban-fitted@1": "requirement",
+    "commonroad@1": "requirement",
     "highway-perception@1": "requirement",
     "sumo-drivers@1": "requirement",
     "npc-actions@1": "violation",
@@ -84,8 +86,10 @@ def test_the_page_on_formulas_lists_every_signal_and_those_that_simulators_lack(
     lacking = lacking.partition("Signals of [`command@1`]")[0]
     rows = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
     assert re.findall(r"`(\w+)`", "".join(rows)) == sorted(SIGNALS, key=table.index)
-    sumo, highway = lacking.split("highway-env")
-    assert (re.findall(r"`(\w+)`", sumo), re.findall(r"`(\w+)`", highway)) == (
+    sumo, _, others = lacking.partition("highway-env")
+    highway, _, recorded = others.partition("`commonroad@1`")
+    assert [re.findall(r"`(\w+)`", part) for part in (sumo, highway, recorded)] == [
         list(SUMO_LACKS),
         list(HIGHWAY_LACKS),
-    )
+        list(COMMONROAD_LACKS),
+    ]
