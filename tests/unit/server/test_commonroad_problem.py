@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from brink.search.errors import ConfigError
+from brink.search.parameters import Categorical
 from brink.server.problems.base import describe_candidate
 from brink.server.problems.commonroad import CommonRoad, CommonRoadParams
 from brink.sim.commonroad.files import document_of, read_files
@@ -21,18 +22,19 @@ BEND = (FOLDER / "bend.xml").read_text(encoding="utf-8")
 FILES = read_files({"scenarios": str(FOLDER)}, FOLDER)["scenarios"]
 
 
+def choices(problem: CommonRoad, name: str) -> tuple[str, ...]:
+    parameter = next(one for one in problem.space.parameters if one.name == name)
+    assert isinstance(parameter, Categorical)
+    return parameter.choices
+
+
 def test_files_are_a_category_of_the_space() -> None:
     problem = CommonRoad(CommonRoadParams(scenarios={**FILES, "as xml": BEND}))
-    by_name = {parameter.name: parameter for parameter in problem.space.components[0].parameters}
-    assert by_name["file"].choices == ("bend", "cut-in", "as xml")  # type: ignore[union-attr]
+    assert choices(problem, "file") == ("bend", "cut-in", "as xml")
     assert problem.params.scenarios["as xml"] == FILES["bend"]
-    targets = {p.name: p for p in problem.space.components[1].parameters}["error_1.target"].choices  # type: ignore[union-attr]
-    assert "pedestrian" in targets  # there is one in cut-in
+    assert "pedestrian" in choices(problem, "error_1.target")  # there is one in cut-in
     alone = CommonRoad(CommonRoadParams(scenarios={"bend": BEND}))
-    assert (
-        "pedestrian"
-        not in {p.name: p for p in alone.space.components[1].parameters}["error_1.target"].choices
-    )  # type: ignore[union-attr]
+    assert "pedestrian" not in choices(alone, "error_1.target")
     assert alone.usual_cells["target"] == ["lead"]
 
 
