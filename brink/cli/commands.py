@@ -44,6 +44,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     },
     "Trust": {
         "evidence": ("brink.cli.evidence:evidence", "Export a boundary as tables, rules and replays"),
+        "suite": ("brink.cli.suite:suite", "Simulate hazards again that were found earlier"),
         "repeats": ("brink.cli.repeats:repeats", "Simulate boundary solutions again with other seeds"),
         "sensitivity": ("brink.cli.sensitivity:sensitivity", "Measure how settings change a boundary"),
         "monitor": ("brink.cli.monitor:monitor", "Turn a campaign into a safety monitor"),

@@ -101,7 +101,7 @@ def given_records(space: SearchSpace, solutions: Sequence[KnownSolution]) -> lis
         if len(errors) >= _MOST_ERRORS:
             break
         pointer = f"/start_from/solutions/{place}"
-        row = _encoded(space, solution.values, f"{pointer}/values", errors)
+        row = encoded_row(space, solution.values, f"{pointer}/values", errors)
         if row is None:
             continue
         vector = row.astype("<f8").tobytes()
@@ -115,7 +115,7 @@ def given_records(space: SearchSpace, solutions: Sequence[KnownSolution]) -> lis
     return records
 
 
-def _encoded(
+def encoded_row(
     space: SearchSpace, values: Mapping[str, Any], pointer: str, errors: list[FieldError]
 ) -> FloatArray | None:
     """Return the row of values by component.parameter; None, with `errors` extended, if they are invalid."""

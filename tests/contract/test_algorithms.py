@@ -28,6 +28,7 @@ EDGE = "edge@1"
 THRESHOLDS = "edge@2"
 MINIMISE = "minimise@1"
 SHARPEN = "sharpen@1"
+SUITE = "suite@1"
 TOLERANCE = "tolerance@1"
 NEAREST = "nearest-opposite@1"
 NEEDS: dict[str, tuple[type[Any], str]] = {
@@ -109,10 +110,11 @@ def config_for(checked: AnyAlgorithm, space: SearchSpace) -> Any:
             conditions=[{"weather": "dry"}, {"weather": "wet"}],
             generation_size=30,
         )
-    if checked.id != REPEAT:
+    if checked.id not in (REPEAT, SUITE):
         return checked.config_type()
     rng = np.random.default_rng(1)
-    return checked.config_type(solutions=[space.join(space.sample(rng)).tolist() for _ in range(3)])
+    count = 3 if checked.id == REPEAT else 12  # of so many, some simulations fail, so there is a second round
+    return checked.config_type(solutions=[space.join(space.sample(rng)).tolist() for _ in range(count)])
 
 
 def supports(plugin_id: str, space: SearchSpace) -> bool:
@@ -160,8 +162,8 @@ def test_algorithm_keeps_its_contract(plugin_id: str, name: str) -> None:
         space,
         budget=budget,
         config=config_for(checked, space),
-        ends_itself=plugin_id in {SIMOOD, MINIMISE, SHARPEN},
-        repeats=plugin_id in {REPEAT, EDGE, THRESHOLDS, MINIMISE, SHARPEN, TOLERANCE, NEAREST, "qd@1"},
+        ends_itself=plugin_id in {SIMOOD, MINIMISE, SHARPEN, SUITE},
+        repeats=plugin_id in {REPEAT, SUITE, EDGE, THRESHOLDS, MINIMISE, SHARPEN, TOLERANCE, NEAREST, "qd@1"},
     )
     assert len(run.generations) >= 2
 

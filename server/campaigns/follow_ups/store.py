@@ -102,6 +102,14 @@ def read_pair_campaigns(connection: Connection, campaigns: Sequence[str]) -> lis
     return campaigns_of(connection, connection.execute(query).all())
 
 
+def read_ended(connection: Connection, campaign_id: str) -> dict[int, bool | None]:
+    """Return whether each finished simulation of a campaign was unsafe, by number; None if it failed."""
+    return {
+        number: None if verdict == SolutionVerdict.FAILED else verdict == SolutionVerdict.UNSAFE
+        for number, verdict in _verdicts(connection, campaign_id).items()
+    }
+
+
 def _verdicts(connection: Connection, campaign_id: str) -> dict[int, str]:
     """Return whether each finished simulation of a campaign was safe or unsafe, or failed, by number."""
     ended = (SolutionVerdict.SAFE, SolutionVerdict.UNSAFE, SolutionVerdict.FAILED)

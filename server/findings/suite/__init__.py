@@ -1,0 +1,1 @@
+"""Findings of the kind `suite`: what has become of drives that were found earlier."""

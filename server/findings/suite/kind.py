@@ -1,0 +1,76 @@
+"""What has become of the drives of a suite, as a kind of finding."""
+
+from brink.search.wald import ERROR, MOST, SAFE_AT_MOST, UNSAFE_AT_LEAST
+from brink.server.campaigns.follow_ups.store import read_ended
+from brink.server.findings.finding import Finding, Step, Term
+from brink.server.findings.kind import Kind, Listed, Subject
+from brink.server.findings.suite.table import cases_table
+from brink.server.findings.words import so_far
+from brink.server.suites.results import CaseResult, judged, sorted_cases, verdict_words
+
+LEGEND = [
+    f"A drive is safe if it violates with at most {SAFE_AT_MOST:.0%} of seeds, unsafe with at least "
+    f"{UNSAFE_AT_LEAST:.0%}; a sequential test decides with error rates of {ERROR:.0%} each, or ends as unclear "
+    f"after {MOST} simulations",
+    "Expected safe: a regression test. Expected unsafe: a known hazard, which passes as long as it is there and when "
+    "it is gone",
+]
+
+
+class SuiteKind(Kind):
+    """The verdict on each drive of a suite."""
+
+    id = "suite"
+    title = "Hazards found earlier"
+    rank = 5
+    is_exclusive = True
+
+    async def find(self, subject: Subject) -> Finding:
+        """Return the verdicts, those that need attention first."""
+        campaign, sources = subject.campaign, subject.sources
+        ended = await sources.pages.read(sources.engines, lambda c: read_ended(c, campaign.id))
+        cases = sorted_cases(
+            judged(
+                campaign.body.algorithm.params, ended, system=campaign.body.problem.id, campaign=campaign.id
+            )
+        )
+        passed = sum(case.passed for case in cases)
+        words = verdict_words([case.verdict for case in cases])
+        return Finding(
+            kind=self.id,
+            title=self.title,
+            role=subject.role,
+            sentence=so_far(campaign, words),
+            more=[
+                "all are as expected" if passed == len(cases) else f"{len(cases) - passed} not as expected"
+            ],
+            purpose="Brink simulated drives again that were found earlier, to see which are safe now.",
+            figures=[Term(term=f"{passed:,} of {len(cases):,}", words="drives are as expected")],
+            legend=LEGEND,
+            tables=[cases_table(cases, subject.rows)],
+            steps=_watch(subject, cases),
+        )
+
+    def brief(self, listed: Listed) -> str:
+        """Return how many simulations were unsafe: what they mean takes all of them."""
+        return f"{listed.campaign.unsafe:,} unsafe simulations"
+
+
+def _watch(subject: Subject, cases: list[CaseResult]) -> list[Step]:
+    failing = [case for case in cases if not case.passed and case.solution is not None]
+    if not failing:
+        return []
+    number, name = failing[0].solution, failing[0].name
+    return [
+        Step(
+            kind="look",
+            question=f"What happens in {name}?",
+            label=f"Open solution {number}",
+            words="Shows one of its drives.",
+            place=f"{subject.path}/solutions/{number}",
+            command=f"brink replay {subject.campaign.id} {number} --out hazard.mp4",
+        )
+    ]
+
+
+KIND = SuiteKind()

@@ -1,0 +1,1 @@
+"""Suites: drives of earlier campaigns that are simulated again, with something changed or nothing."""
