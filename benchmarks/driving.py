@@ -1,8 +1,8 @@
 """The cost of a driving system in a process of its own: control steps a second, beside the same one in process.
 
-The examples in `examples/driving` are pairs: the same driving system in Python and in C++, and another one in Python
-as a class and as a process. Each drive is driven by all of them in turn, so that whatever else the machine does hits
-all.
+The examples in `examples/driving` are pairs: the same driving system in Python and in C++, another one in Python as a
+class and as a process, and a controller as an FMU, whose twin in Python is here. Each drive is driven by all of them
+in turn, so that whatever else the machine does hits all.
 """
 
 import os
@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -25,12 +26,14 @@ from brink.sim.catalogue import PLUGINS_VARIABLE, make_simulator, register
 from brink.sim.driving.interface import CONTROL_STEP_S
 from brink.sim.driving_systems import Decision, Observation, Start
 from brink.sim.driving_systems.command import Definition, end_processes, install
+from brink.sim.driving_systems.fmu import FREE_GAP_M, MARGIN_M
 from brink.sim.driving_systems.option import DRIVING_SYSTEMS, DrivingOption
 from brink.sim.programs.installed import COMMANDS_VARIABLE
 
 EXAMPLES: Final = Path(__file__).resolve().parents[1] / "examples" / "driving"
 LEAST_SHARE: Final = 0.6
 _BARE: Final = "bare@1"
+_ACC: Final = "acc@1"
 
 
 class _Bare:
@@ -43,6 +46,29 @@ class _Bare:
 
     def step(self, observation: Observation) -> Decision:
         return self._decision
+
+
+class _Acc:
+    """The controller of `examples/driving/fmu`."""
+
+    needs: ClassVar = "objects"
+
+    def __init__(self, start: Start) -> None:
+        self._car, self._limit_mps = start.car, start.route.speed_limit_mps
+        self._ahead = (FREE_GAP_M, 0.0)
+
+    def step(self, observation: Observation) -> Decision:
+        speed_mps, car = observation.ego.speed_mps, self._car
+        if observation.objects is not None:
+            gaps = [
+                (one.x_m - 0.5 * (one.length_m + car.length_m), one.vx_mps - speed_mps)
+                for one in observation.objects
+                if one.x_m > 0 and abs(one.y_m) < 0.5 * (one.width_m + car.width_m) + MARGIN_M
+            ]
+            self._ahead = min(gaps, default=(FREE_GAP_M, 0.0))
+        gap_m, relative_mps = self._ahead
+        follow = 0.4 * (gap_m - 3.0 - 1.2 * speed_mps) + 1.2 * relative_mps
+        return Decision(accel_mps2=max(-8.0, min(0.8 * (self._limit_mps - speed_mps), follow, 2.0)))
 
 
 @dataclass(slots=True)
@@ -62,12 +88,16 @@ def _systems() -> Iterator[dict[str, str]]:
     os.environ[PLUGINS_VARIABLE] = "idm,aeb"
     sys.path.insert(0, str(EXAMPLES))
     register(DRIVING_SYSTEMS, _BARE, _Bare)
+    register(DRIVING_SYSTEMS, _ACC, _Acc)
     with tempfile.TemporaryDirectory(prefix="brink-") as folder:
         os.environ[COMMANDS_VARIABLE] = folder
         cpp = Path(shutil.copytree(EXAMPLES / "cpp", Path(folder) / "cpp"))
         for command in (["cmake", "-B", "build"], ["cmake", "--build", "build"]):
             subprocess.run(command, cwd=cpp, check=True, stdout=subprocess.DEVNULL)
-        programs = [Definition.of(file) for file in (cpp / "idm.yaml", EXAMPLES / "aeb_process.yaml")]
+        fmu = Path(shutil.copytree(EXAMPLES / "fmu", Path(folder) / "fmu"))
+        _build_fmu(fmu)
+        files = (cpp / "idm.yaml", EXAMPLES / "aeb_process.yaml", fmu / "acc.yaml")
+        programs = [Definition.of(file) for file in files]
         for program in programs:
             install(program)
         yield {
@@ -76,8 +106,22 @@ def _systems() -> Iterator[dict[str, str]]:
             "IDM, C++ process": programs[0].id(),
             "AEB, Python in process": "aeb:EmergencyBrake",
             "AEB, Python process": programs[1].id(),
+            "ACC, Python in process": _ACC,
+            "ACC, FMU": programs[2].id(),
         }
         end_processes()
+
+
+def _build_fmu(folder: Path) -> None:
+    library = folder / "acc.so"
+    subprocess.run(["cc", "-O1", "-shared", "-fPIC", "-o", library, folder / "acc.c"], check=True)
+    with zipfile.ZipFile(folder / "acc.fmu", "w") as archive:
+        archive.write(folder / "modelDescription.xml", "modelDescription.xml")
+        archive.write(library, "binaries/linux64/acc.so")
+    # `python3` of the example may be another one, without Brink.
+    (folder / "acc.yaml").write_text(
+        f"command: [{sys.executable}, -m, brink.sim.driving_systems.fmu, acc.fmu, acc-variables.yaml]\n"
+    )
 
 
 def measure_driving(*, drives: int, seed: int, progress: Progress) -> list[Row]:
@@ -89,7 +133,7 @@ def measure_driving(*, drives: int, seed: int, progress: Progress) -> list[Row]:
         progress: Progress callback.
 
     Raises:
-        OSError: There is no cmake.
+        OSError: There is no cmake or no C compiler.
         subprocess.CalledProcessError: There is no compiler.
     """
     rng = np.random.default_rng(seed)
@@ -118,5 +162,6 @@ def _rows(costs: dict[str, _Cost]) -> Iterator[Row]:
     for twin, name, least in (
         ("IDM, Python in process", "IDM, C++ process", LEAST_SHARE),
         ("AEB, Python in process", "AEB, Python process", None),
+        ("ACC, Python in process", "ACC, FMU", None),
     ):
         yield at_least(f"{name}, share of the rate in process", costs[name].rate / costs[twin].rate, least)
