@@ -22,12 +22,12 @@ from brink.worker.driving_check import drive_streets
 MAX_SOURCE_BYTES: Final = 4 * 1024**2
 STREETS: Final = 10
 
-driving = typer.Typer(help="Check a driving system.", no_args_is_help=True)
+driving = typer.Typer(help="Check driving systems.", no_args_is_help=True)
 
 
 @driving.callback()
 def _group() -> None:
-    """Check a driving system."""
+    """Check driving systems."""
 
 
 @driving.command()
@@ -36,8 +36,8 @@ def check(
         str,
         typer.Argument(
             metavar="FILE[:CLASS]",
-            help="Python file of the driving system, with its class if there are several; YAML file of a program; or "
-            "a registered id.",
+            help="Driving system: a Python file, with :CLASS if it has several; the YAML file of a program or "
+            "FMU; or the id of an installed one.",
             show_default=False,
         ),
     ],
@@ -46,20 +46,22 @@ def check(
         typer.Option(
             metavar="NAME=VALUE",
             show_default=False,
-            help="Number that it gets as a setting; may be repeated.",
+            help="Number that the driving system gets in start.settings; may be repeated.",
         ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Drive ten streets with a driving system and say what is wrong; exit with 1 if it breaks its contract.
+    """Drive ten streets with a driving system, and say what it does wrong.
 
-    The streets are driven with the ground truth, several times, in two orders and two processes.
+    Nothing is detected wrongly here. Each street is driven several times, in two orders and two processes. A wrong
+    decision, an exception, a crash, a late answer, or a drive that differs from the same drive before is a FAULT, and
+    the exit status is then 1. Violations in the table are not: they show how it drives.
 
     Example: brink driving check my_planner.py
 
     Example: brink driving check my_planner.py:Planner --setting headway_s=1.2
 
-    Example: brink driving check my_planner.yaml
+    Example: brink driving check examples/driving/fmu/acc.yaml --json
     """
     settings = named_values("--setting", setting, "headway_s=1.2")
     with tempfile.TemporaryDirectory(prefix="brink-") as folder:
