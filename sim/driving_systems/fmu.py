@@ -45,7 +45,7 @@ class Variables:
 
     inputs: Mapping[str, str]
     output: tuple[str, str]
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, object]
     free_gap_m: float = FREE_GAP_M
 
     @classmethod

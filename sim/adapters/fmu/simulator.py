@@ -16,6 +16,7 @@ from brink.sim.adapters.command.attempt import Judged
 from brink.sim.adapters.command.recording import trace_of
 from brink.sim.adapters.command.requirement import Requirement, RequirementError, requirement_of
 from brink.sim.adapters.command.signals import FloatArray, SignalError, Signals, evaluated, needed_columns
+from brink.sim.adapters.command.simulator import SEEDS
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.fmi import FmuError, FmuFailed, Instance, Model, read_model
@@ -28,7 +29,6 @@ MAX_STEPS: Final = 1_000_000
 MAX_NUMBERS: Final = 50_000_000
 """Maximum number of recorded values of an episode."""
 _FIELDS: Final = ("variables", "start_values", "seed_variable", "step_s", "signals", "requirements")
-_SEEDS: Final = 2**31
 _ROUNDING: Final = 1e-6
 
 
@@ -110,7 +110,7 @@ class Stated:
             for name, value in part.items() if isinstance(part, dict) else ():
                 given[self.variables.get(name, name)] = value
         if self.seed_variable:
-            given[self.seed_variable] = spec.seed % _SEEDS
+            given[self.seed_variable] = spec.seed % SEEDS
         return {name: model.settable(name).number(value) for name, value in given.items()}
 
 
