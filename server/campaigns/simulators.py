@@ -26,13 +26,16 @@ def other_simulator(connection: Connection, campaign: Campaign) -> str | None:
 
     Args:
         connection: To the database.
-        campaign: The campaign; one whose plug-ins are missing is not checked.
+        campaign: The campaign. Plug-ins that are missing here are not compared: this may be a coordinator beside
+            that of the campaign, and workers are asked for what only they need.
     """
     try:
         plan = make_plan(campaign.body)
     except InvalidInput:
         return None
-    if (changed := changed_sources(campaign.body.sources, plan.body.sources)) is not None:
+    here = plan.body.sources
+    before = {key: digest for key, digest in campaign.body.sources.items() if key in here}
+    if (changed := changed_sources(before, here)) is not None:
         return (
             f"this campaign was simulated with different code of {changed}, whose results may differ. "
             "Continue with the code that it began with, or submit it again."

@@ -71,6 +71,20 @@ def test_a_campaign_is_not_continued_with_other_code(engines: Engines, database_
         assert "submit it again" in reason
 
 
+@on_sqlite
+def test_a_coordinator_without_the_simulator_does_not_pause_the_campaign_of_one_that_has_it(
+    engines: Engines, database_url: str, edit: Edit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with coordinator(database_url) as client:
+        campaign = submit(client, ball())
+        FakeWorker(client).lease(max_jobs=3)
+    without = {group: dict(plugins) for group, plugins in catalogue._registered.items()}
+    del without[SIMULATORS][SIMULATOR]
+    monkeypatch.setattr(catalogue, "_registered", without)
+    with coordinator(database_url) as client:
+        assert FakeWorker(client).work(campaign)["status"] == "finished"
+
+
 @pytest.mark.long("runs campaigns")
 @on_sqlite
 def test_a_finished_campaign_is_shown_but_not_repeated_with_other_code(
