@@ -203,6 +203,8 @@ class Algorithm(Protocol[C, S]):
         suggested: Optional. Place among the algorithms that a new campaign may begin with, the lowest first.
         former: Optional. For settings that were added later, what their value was before, by name.
         is_baseline: Optional. Whether it draws solutions at random, without a search.
+        honours_distribution: Optional. Whether it draws by the space's operational distribution (`SearchSpace.draw`);
+            campaigns of any other say that they ignored it.
         needs_measures: Optional. Whether it cannot search without measures (`Measure`) or niches of candidates.
         internal: Optional. Whether only Brink itself starts campaigns with it.
     """
@@ -447,6 +449,47 @@ class WarmStarts(Protocol[C_contra, S_co]):
 
         Raises:
             ConfigError: The budget does not suffice for the points.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Draws:
+    """Simulations whose weighted verdicts have the rate of unsafe solutions in operation as their mean.
+
+    Attributes:
+        numbers: Numbers of the candidates, ascending, shape ``(n,)``.
+        weights: Importance weights, shape ``(n,)``.
+        bounds: The largest weight that each could have had, fixed before it was drawn, >= 1, shape ``(n,)``.
+        unsafe: Whether each is unsafe, shape ``(n,)``.
+        failed: Whether each has no verdict, shape ``(n,)``.
+    """
+
+    numbers: IntArray
+    weights: FloatArray
+    bounds: FloatArray
+    unsafe: BoolArray
+    failed: BoolArray
+
+    def unsafe_values(self, *, failed: bool = False) -> FloatArray:
+        """Return the weights of unsafe simulations, and 0 for all others, shape ``(n,)``.
+
+        Args:
+            failed: Whether those without a verdict count as unsafe.
+        """
+        return np.where(self.unsafe | (self.failed & failed), self.weights, 0.0)
+
+
+@runtime_checkable
+class EstimatesRate(Protocol):
+    """An algorithm whose simulations say how often solutions are unsafe in operation."""
+
+    def draws(self, document: Document, archive: Archive) -> Draws:
+        """Return the draws among the simulations told so far.
+
+        Args:
+            document: The document that `Algorithm.dump` returned.
+            archive: The archive of the state at that time.
         """
         ...
 

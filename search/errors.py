@@ -2,7 +2,8 @@
 
 SearchError
 ├── SpaceError          a vector or a value does not fit the search space
-│   └── OddError        a limit of the operational design domain does not fit the search space
+│   ├── OddError        a limit of the operational design domain does not fit the search space
+│   └── DistributionError  an operational distribution does not fit the search space
 ├── ConfigError         a setting of an algorithm is invalid
 ├── UnsupportedSpace    the algorithm does not support the search space
 ├── OrderError          ask and tell were called out of order, or with the wrong candidates
@@ -28,6 +29,18 @@ class OddError(SpaceError):
 
     Attributes:
         name: The parameter as it was named; None if several limits are to blame.
+    """
+
+    def __init__(self, name: str | None, message: str) -> None:
+        super().__init__(message)
+        self.name = name
+
+
+class DistributionError(SpaceError):
+    """An operational distribution does not fit the search space.
+
+    Attributes:
+        name: The entry of the distribution; None if several are to blame.
     """
 
     def __init__(self, name: str | None, message: str) -> None:

@@ -39,7 +39,11 @@ def limited(space: SearchSpace, odd: Mapping[str, object]) -> SearchSpace:
         return space
     limits: dict[str, tuple[str, object]] = {}
     for given, limit in odd.items():
-        for name in _named(space, given):
+        try:
+            names = matching_names(space, given)
+        except SpaceError as error:
+            raise OddError(str(given), str(error)) from None
+        for name in names:
             if name in limits:
                 raise OddError(
                     given, f"{name} is limited twice, by {limits[name][0]} too: expected one limit"
@@ -70,11 +74,15 @@ def limited(space: SearchSpace, odd: Mapping[str, object]) -> SearchSpace:
     return within
 
 
-def _named(space: SearchSpace, given: object) -> list[str]:
-    """Return the full names of the parameters that a name stands for."""
+def matching_names(space: SearchSpace, given: object) -> list[str]:
+    """Return the full names of the parameters that a name stands for, in which ``*`` stands for any characters.
+
+    Raises:
+        SpaceError: There are none.
+    """
     names = space.column_names()
     if not isinstance(given, str):
-        raise OddError(str(given), f"expected the name of a parameter, got {given!r}")
+        raise SpaceError(f"expected the name of a parameter, got {given!r}")
     matching = [name for name in names if fnmatchcase(name, given)] if "*" in given else [given]
     if not matching or matching[0] not in names:
         close = did_you_mean(given, names)
@@ -82,7 +90,7 @@ def _named(space: SearchSpace, given: object) -> list[str]:
         known = ", ".join(names[:_MOST_NAMED]) + (
             f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
         )
-        raise OddError(given, f"unknown parameter {given!r}{close}; known: {known}")
+        raise SpaceError(f"unknown parameter {given!r}{close}; known: {known}")
     return matching
 
 

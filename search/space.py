@@ -11,7 +11,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Self, TypeAlias
+from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -409,6 +409,34 @@ class Component:
                 for name in block.members:
                     values[name] = self.by_name[name].draw(rng)
 
+    @property
+    def is_independent(self) -> bool:
+        """Whether uniform values of all parameters are a uniform draw, once what is dormant is set to 0."""
+        plain = all(
+            isinstance(one, Categorical) or not (one.step or one.log) for one in self.parameters
+        ) and not any(one.when for one in self.parameters)
+        whole = any(
+            isinstance(self.by_name[name], Integer) for block in self._blocks for name in block.members
+        )
+        return plain and not self._rules and not self.formulas and not whole
+
+    def set_dormant(self, vectors: FloatArray) -> None:
+        """Set what is dormant to 0, in place, in vectors of shape ``(n, dimension)``."""
+        place = {parameter.name: column for column, parameter in enumerate(self.parameters)}
+        for block in self._blocks:
+            label = self.by_name[block.label]
+            dormant = vectors[:, place[block.label]] == label.encode(block.null_choice)
+            for name in block.members:
+                vectors[dormant, place[name]] = 0.0
+
+    def sample_with(self, values: Mapping[str, float], rng: np.random.Generator) -> FloatArray:
+        """Draw a vector in which some parameters have stored values, if they are present, and the others are uniform.
+
+        It is valid but for the formulas, if the values are and no constraint other than `Dormant` limits them.
+        """
+        given = [values.get(parameter.name, math.nan) for parameter in self.parameters]
+        return self._settled(np.array(given), rng)
+
     def problems(self, vector: FloatArray) -> Iterator[str]:
         """Yield what is wrong with a vector, each problem with the path of its parameter; nothing if it is valid.
 
@@ -532,6 +560,22 @@ class Component:
         }
 
 
+class OperationalDistribution(Protocol):
+    """How often solutions occur in operation (`brink.search.distribution`)."""
+
+    def sample(self, space: "SearchSpace", rng: np.random.Generator) -> tuple[FloatArray, ...]:
+        """Draw a valid complete solution of a space."""
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """Return the distribution as it is declared."""
+        ...
+
+    def words(self, space: "SearchSpace") -> str:
+        """Return the distribution in words."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class SearchSpace:
     """A search space of named components with typed parameters.
@@ -539,6 +583,7 @@ class SearchSpace:
     Attributes:
         components: In the order of a solution's vectors, with unique names.
         formulas: Conditions on parameters of more than one component; see `constrained`.
+        distribution: How often solutions occur in operation; None if all are equally likely. Searches ignore it.
         dimension: Number of all parameters.
         categorical: Which parameters are categorical, shape ``(dimension,)``.
         ranges: Whole range of each number, whatever the ODD, 1 for a category, shape ``(dimension,)``.
@@ -547,6 +592,7 @@ class SearchSpace:
 
     components: tuple[Component, ...]
     formulas: tuple[Formula, ...] = ()
+    distribution: OperationalDistribution | None = field(default=None, repr=False, compare=False)
     dimension: int = field(init=False, compare=False)
     categorical: BoolArray = field(init=False, repr=False, compare=False)
     ranges: FloatArray = field(init=False, repr=False, compare=False)
@@ -665,6 +711,34 @@ class SearchSpace:
         if self._feasible is not None:
             return self.split(self._feasible.sample(rng))
         return tuple(component.sample(rng) for component in self.components)
+
+    def draw(self, rng: np.random.Generator) -> tuple[FloatArray, ...]:
+        """Draw a valid complete solution as it occurs in operation: by the distribution, or uniformly without one."""
+        return self.sample(rng) if self.distribution is None else self.distribution.sample(self, rng)
+
+    def draw_rows(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draw rows as `draw` does, shape ``(count, dimension)``; much faster where parameters are independent.
+
+        Args:
+            count: Number of rows.
+            rng: Source of the draws; they are not those of `draw`.
+        """
+        if (
+            self.distribution is not None
+            or not all(one.is_independent for one in self.components)
+            or self.formulas
+        ):
+            drawn = [self.join(self.draw(rng)) for _ in range(count)]
+            return np.array(drawn).reshape(count, self.dimension)
+        rows = self.draw_unrepaired(count, rng)
+        for column, parameter in enumerate(self.parameters):
+            if isinstance(parameter, Integer):
+                rows[:, column] = rng.integers(
+                    int(parameter.least), int(parameter.most), size=count, endpoint=True
+                )
+        for component, part in zip(self.components, self.slices, strict=True):
+            component.set_dormant(rows[:, part])
+        return rows
 
     def draw_unrepaired(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draw rows of uniform values, shape ``(count, dimension)``; constraints are ignored.

@@ -28,6 +28,7 @@ class Stream(IntEnum):
     GUARD = 13
     ERRORS = 14
     THRESHOLDS = 15
+    RATE = 16
     DEEPJANUS = 20
     STRADDLE = 21
     BSV = 22

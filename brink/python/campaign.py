@@ -54,6 +54,8 @@ class Campaign:
         odd: Operational design domain: limits by component.parameter, each one value, a list of choices, or a mapping
             with ``min``, ``max`` or both.
         constraints: Conditions that every solution meets, such as ``gap > 2 * speed / 3.6``.
+        distribution: Operational distribution: how often values occur, by component.parameter; see
+            docs/reference/search-space.md.
         start_from: Prior knowledge: an earlier campaign, its result or id, or a data frame with a column for
             each parameter and one for ``robustness``.
         more: Further fields of the campaign file, such as ``repeats`` or ``execution``.
@@ -68,6 +70,7 @@ class Campaign:
     algorithm_params: Mapping[str, Any] = field(default_factory=dict)
     odd: Mapping[str, Any] = field(default_factory=dict)
     constraints: Sequence[str] = ()
+    distribution: Mapping[str, Any] = field(default_factory=dict)
     start_from: Start = None
     more: Mapping[str, Any] = field(default_factory=dict)
 
@@ -76,6 +79,8 @@ class Campaign:
         limits: dict[str, Any] = {"odd": dict(self.odd)} if self.odd else {}
         if self.constraints:
             limits |= {"constraints": list(self.constraints)}
+        if self.distribution:
+            limits |= {"distribution": dict(self.distribution)}
         return {
             "name": self.name or f"{self.problem.partition('@')[0]}, {self.algorithm.partition('@')[0]}",
             "problem": {"id": self.problem, "params": {**self.problem_params, **limits}},

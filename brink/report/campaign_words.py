@@ -12,6 +12,7 @@ from brink.api.live import failures_of
 from brink.report.campaign_facts import LISTED, Facts
 from brink.report.kind_pictures import KindPictures
 from brink.search.analysis.dependence import ParameterColumn
+from brink.search.distribution import distribution_words
 from brink.search.odd import odd_words
 from brink.search.parameters import Categorical
 from brink.search.space import FloatArray
@@ -20,7 +21,7 @@ from brink.server.findings.finding import Role, Term
 from brink.server.findings.table import share_text
 from brink.server.findings.words import counted, full_sentence
 from brink.server.problems.base import Problem, SimulatedProblem
-from brink.server.problems.catalogue import ODD, is_baseline
+from brink.server.problems.catalogue import DISTRIBUTION, ODD, is_baseline
 from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus, OutcomeKind, Selection
 from brink.sim.catalogue import REQUIREMENTS, load_plugin
@@ -329,11 +330,14 @@ def fixed(facts: Facts) -> list[tuple[str, str, str]]:
     rows = [
         (name, _value(value, one.get("unit", "")), str(one.get("help", "")))
         for name, value in params.items()
-        if name != ODD
+        if name not in (ODD, DISTRIBUTION)
         for one in [about.get(name, {})]
     ]
     if words := odd_words(problem.space):
         rows.append(("odd", words, "The operational design domain, to which the search was limited."))
+    if problem.space.distribution is not None:
+        words = distribution_words(problem.space)
+        rows.append((DISTRIBUTION, words, "How often values occur in operation, as stated."))
     for one in constants(facts.columns) if facts.evaluated else ():
         same = f"{one.component}: in no {facts.noun}" if one.values == "had no part" else one.values
         rows.append((one.names.replace("_", " "), same, f"{one.component}: the same in all {facts.noun}s"))

@@ -197,7 +197,12 @@ class Ledger:
     @property
     def left(self) -> float:
         """Number of solutions that budget and space allow to plan; zero or less if there is none."""
-        return min(self.budget, self.space.size) - self.spent - self.in_flight
+        return min(self.unspent, self.space.size - self.spent - self.in_flight)
+
+    @property
+    def unspent(self) -> int:
+        """Number of evaluations that the budget allows to plan, for searches that may repeat solutions."""
+        return self.budget - self.spent - self.in_flight
 
     @property
     def evidence(self) -> Archive:
@@ -573,6 +578,7 @@ class LedgerAlgorithm(Generic[C, S]):
         suggested: Place among the algorithms that a new campaign may begin with, the lowest first; None for no place.
         former: For settings that were added later, what their value was before, by name.
         is_baseline: Whether it draws solutions at random, without a search.
+        honours_distribution: Whether it draws by the operational distribution.
         internal: Whether only Brink itself starts campaigns with it.
         layout: Version of stored states: of their layout, and of how the search continues from them.
     """
@@ -585,6 +591,7 @@ class LedgerAlgorithm(Generic[C, S]):
     suggested: int | None = None
     former: Mapping[str, Any] = MappingProxyType({})
     is_baseline: bool = False
+    honours_distribution: bool = False
     internal: bool = False
     layout: int = 1
 

@@ -1,13 +1,18 @@
 """Random search: random draws with duplicates rejected, the baseline for every comparison.
 
+With an operational distribution, it draws by that and keeps duplicates: they are as frequent as in operation.
+
 It supports any space. Source: Sharifi et al. 2023, baseline RS.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from brink.search.algorithm import Evaluation
+import numpy as np
+
+from brink.search.algorithm import UNDECLARED, Draws, Evaluation
 from brink.search.algorithms.ledger import BoundaryConfig, BoundaryState, Ledger, WarmLedgerAlgorithm
+from brink.search.archive import Archive
 from brink.search.document import Document
 from brink.search.settings import setting
 from brink.search.space import FloatArray, SearchSpace
@@ -40,8 +45,23 @@ class RandomSearch(WarmLedgerAlgorithm[RandomSearchConfig, RandomSearchState]):
     id = "random@1"
     suggested = 3
     is_baseline = True
+    honours_distribution = True
+    finds: tuple[str, ...] = (*UNDECLARED, "rate")
     summary = "Random search: independent draws from the space."
     config_type = RandomSearchConfig
+
+    def draws(self, document: Document, archive: Archive) -> Draws:
+        """Return all candidates but known points, with a weight of 1; see `EstimatesRate`."""
+        told = document.header["archived"] + sum(len(document.arrays[one]) for one in ("failed", "measured"))
+        numbers = np.arange(min(len(document.arrays.get("points", ())), told), told)
+        place = dict(zip(archive.numbers.tolist(), archive.unsafe.tolist(), strict=True))
+        return Draws(
+            numbers=numbers,
+            weights=np.ones(len(numbers)),
+            bounds=np.ones(len(numbers)),
+            unsafe=np.array([place.get(number, False) for number in numbers.tolist()], np.bool_),
+            failed=np.array([number not in place for number in numbers.tolist()], np.bool_),
+        )
 
     def _min_budget(self, space: SearchSpace, config: RandomSearchConfig) -> int:
         return 1
@@ -66,6 +86,10 @@ def _planned(config: RandomSearchConfig, ledger: Ledger) -> RandomSearchState:
     wanted = int(min(config.generation_size, ledger.left)) if room else 0
     rng = generator(ledger.seed, Stream.START, ledger.planned_generation)
     rows: tuple[FloatArray, ...] = ledger.points[:wanted]
+    if ledger.space.distribution is not None:
+        wanted = int(min(config.generation_size, ledger.unspent)) if room else 0
+        drawn = (ledger.space.join(ledger.space.draw(rng)) for _ in range(wanted - len(rows)))
+        return RandomSearchState(config=config, ledger=ledger.plan([*rows, *drawn]))
     draws_left = _DRAWS_PER_CANDIDATE * wanted
     while len(rows) < wanted and draws_left > 0:
         batch = wanted - len(rows)

@@ -3,6 +3,7 @@
 Tags and notes belong to people: they may change at any time, so they are not part of what identifies a submission.
 """
 
+import csv
 import unicodedata
 from collections.abc import Iterable, Mapping
 from importlib.metadata import entry_points
@@ -22,11 +23,13 @@ from brink.server.documents import (
 from brink.server.errors import InvalidInput
 from brink.server.seeding import SeederSettings, seeder
 from brink.sim.errors import DefinitionError
+from brink.user_file import read_text
 from brink.worker.wire import JsonValues, Number
 
 LONGEST_NAME = 200
 PROBLEM_FILES: Final = "brink.problem_files"
 """Entry points by the ids of problems: functions that read the files which parameters in a campaign file name."""
+LARGEST_CSV_BYTES: Final = 4 * 1024**2
 DEFAULT_T_B = 0.10
 """Default threshold: solutions with a fitness of at most this count as boundary solutions."""
 DEFAULT_D_TH = 0.20
@@ -356,6 +359,28 @@ def read_campaign_file(path: Path) -> CampaignBody:
         return with_files(parse_body(read_yaml(path)), path.parent)
 
 
+def _with_rows(distribution: Mapping[str, Any], folder: Path, pointer: str) -> dict[str, Any]:
+    """Return an operational distribution with the observations of the CSV file that it names.
+
+    Raises:
+        InvalidInput: The file cannot be read, or is not a table.
+    """
+    from brink.search.distribution import FROM, ROWS, rows_of_table  # slow to import
+
+    if ROWS in distribution or not isinstance(name := distribution[FROM], str):
+        message = f"expected the path of a CSV file, and no {ROWS} beside it, got {distribution[FROM]!r:.80}"
+        raise InvalidInput.at(pointer, message)
+    try:
+        lines = list(csv.reader(read_text(folder / name, LARGEST_CSV_BYTES).splitlines()))
+    except (OSError, ValueError, csv.Error) as error:
+        raise InvalidInput.at(pointer, f"cannot read {name}: {error}") from None
+    if len(lines) < 2:
+        raise InvalidInput.at(pointer, f"{name}: expected a line of parameters and at least one of values")
+    others = {key: value for key, value in distribution.items() if key != FROM}
+    columns = [column.strip() for column in lines[0]]
+    return {**others, ROWS: rows_of_table(columns, [line for line in lines[1:] if line])}
+
+
 def with_files(body: CampaignBody, folder: Path) -> CampaignBody:
     """Return a campaign whose problem takes its files along; see `problem_with_files`."""
     return body.model_copy(update={"problem": problem_with_files(body.problem, folder, "/problem")})
@@ -382,4 +407,6 @@ def problem_with_files(problem: Problem, folder: Path, pointer: str) -> Problem:
             params["driving"] = read_reference(str(params["driving"]), folder)
     except DefinitionError as error:
         raise InvalidInput.at(f"{pointer}/params/{error.field}", str(error)) from None
+    if isinstance(distribution := params.get("distribution"), Mapping) and "from" in distribution:
+        params["distribution"] = _with_rows(distribution, folder, f"{pointer}/params/distribution/from")
     return problem.model_copy(update={"params": params})

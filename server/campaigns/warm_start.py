@@ -26,7 +26,7 @@ from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.db.models import SolutionRow
 from brink.server.errors import InvalidInput, NotFound
 from brink.server.problems.base import SimulatedProblem
-from brink.server.problems.catalogue import CONSTRAINTS, ODD
+from brink.server.problems.catalogue import LIMITS
 from brink.server.queue.job_store import is_told
 from brink.server.states import SolutionVerdict
 from brink.sim.catalogue import with_sources
@@ -137,7 +137,7 @@ def _settings(there: CampaignBody, here: CampaignBody) -> list[tuple[str, object
         ("problem.id", there.problem.id, here.problem.id),
         *(
             (f"problem.params.{name}", before.get(name), now.get(name))
-            for name in sorted({*before, *now} - {CONSTRAINTS, ODD})
+            for name in sorted({*before, *now} - set(LIMITS))
         ),
         ("ground_truth", there.ground_truth, here.ground_truth),
     ]

@@ -14,6 +14,7 @@ from brink.server.campaigns.follow_ups.follow_up import StoredFollowUp
 from brink.server.campaigns.follow_ups.question import question_of
 from brink.server.campaigns.follow_ups.store import followed_by, read_follow_ups
 from brink.server.campaigns.outcomes import CampaignOutcomes
+from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.campaigns.traces import driven_again
 from brink.server.errors import NotFound
@@ -203,7 +204,23 @@ async def _sentences(known: _Known, found: Sequence[Finding]) -> tuple[str, list
     first = found[0]
     told = "" if known.is_exclusive else known.outcomes.sentence()
     met = [one.sentence for one in found[1:] if one.role is Role.MET and not one.is_empty]
-    return so_far(known.campaign, first.sentence), [told, *first.more, *first.caveats, *met]
+    return so_far(known.campaign, first.sentence), [
+        told,
+        *first.more,
+        *first.caveats,
+        *met,
+        _ignored_distribution(known.read_archive.plan),
+    ]
+
+
+def _ignored_distribution(plan: Plan) -> str:
+    """Return that a search ignored the operational distribution; empty if there is none, or it did not."""
+    if plan.problem.space.distribution is None or getattr(plan.algorithm, "honours_distribution", False):
+        return ""
+    return (
+        f"{plan.body.algorithm.id} ignored the operational distribution: the share of its unsafe solutions says "
+        "nothing about how often they occur"
+    )
 
 
 def _all_failed(campaign: Campaign) -> bool:

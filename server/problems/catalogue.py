@@ -1,9 +1,9 @@
 """The available problems and algorithms, and the JSON schemas of their parameters.
 
 Parameters are dataclasses whose fields carry their bounds (`brink.search.settings.setting`). They are converted to
-pydantic models, which validate and describe the input. Every problem has two parameters more, `ODD` and
-`CONSTRAINTS`, which limit its search space (`brink.search.odd`, `SearchSpace.constrained`) and which the problem
-itself does not see.
+pydantic models, which validate and describe the input. Every problem has three parameters more, `ODD` and
+`CONSTRAINTS`, which limit its search space (`brink.search.odd`, `SearchSpace.constrained`), and `DISTRIBUTION`, which
+says how often its solutions occur in operation (`brink.search.distribution`). The problem itself does not see them.
 """
 
 import logging
@@ -18,7 +18,8 @@ from pydantic import Field as PydanticField
 
 from brink.extras import install_command
 from brink.search.algorithm import AnyAlgorithm, declared_finds
-from brink.search.errors import ConfigError, OddError, SpaceError, UnsupportedSpace
+from brink.search.distribution import distributed
+from brink.search.errors import ConfigError, DistributionError, OddError, SpaceError, UnsupportedSpace
 from brink.search.odd import limited, odd_of
 from brink.search.space import SearchSpace
 from brink.server.documents import invalid_input
@@ -44,8 +45,10 @@ PROBLEMS = "brink.problems"
 ALGORITHMS = "brink.algorithms"
 ODD: Final = "odd"
 CONSTRAINTS: Final = "constraints"
+DISTRIBUTION: Final = "distribution"
+LIMITS: Final = (CONSTRAINTS, ODD, DISTRIBUTION)
+"""Names of the parameters that all problems have."""
 _MOST_CONSTRAINTS: Final = 50
-"""Name of the parameter that all problems have: the operational design domain."""
 
 _PARAMS: Final = "/problem/params"
 _ABOUT_ODD: Final = (
@@ -55,6 +58,12 @@ _ABOUT_ODD: Final = (
 
 _ABOUT_CONSTRAINTS: Final = (
     "Conditions that every solution meets, such as gap > 2 * speed / 3.6; the others are never simulated."
+)
+
+_ABOUT_DISTRIBUTION: Final = (
+    "Operational distribution: how the values of parameters occur in operation, by component.parameter, such as "
+    '{"normal": {"mean": 12, "deviation": 3}} or {"weights": {"day": 8, "night": 2}}; all others are equally likely. '
+    "Estimates of rates draw from it; searches for boundaries ignore it."
 )
 
 _BOUNDS = ("ge", "gt", "le", "lt")
@@ -262,7 +271,7 @@ def spelled_out(problem_id: str, params: Mapping[str, Any]) -> tuple[Problem, di
 def _spelled_out(
     kind: type[Any], problem_id: str, params: Mapping[str, Any]
 ) -> tuple[Problem, dict[str, Any]]:
-    given = {name: value for name, value in params.items() if name not in (CONSTRAINTS, ODD)}
+    given = {name: value for name, value in params.items() if name not in LIMITS}
     own = make_params(kind.params_type, given, _PARAMS)
     problem = kind(own)
     if not isinstance(problem, SimulatedProblem | InProcessProblem):
@@ -277,6 +286,9 @@ def _spelled_out(
     if params.get(ODD):
         problem.space = _within_odd(problem.space, params[ODD])
         everything |= {ODD: odd} if (odd := odd_of(problem.space)) else {}
+    if params.get(DISTRIBUTION):
+        problem.space = _distributed(problem.space, params[DISTRIBUTION])
+        everything |= {DISTRIBUTION: dict(params[DISTRIBUTION])}
     return problem, everything
 
 
@@ -297,8 +309,23 @@ def _within_odd(space: SearchSpace, odd: object) -> SearchSpace:
     try:
         return limited(space, odd)
     except OddError as error:
-        at = "" if error.name is None else "/" + error.name.replace("~", "~0").replace("/", "~1")
-        raise InvalidInput.at(f"{_PARAMS}/{ODD}{at}", str(error)) from None
+        raise InvalidInput.at(f"{_PARAMS}/{ODD}{_below(error.name)}", str(error)) from None
+
+
+def _distributed(space: SearchSpace, distribution: object) -> SearchSpace:
+    if not isinstance(distribution, Mapping):
+        first = space.column_names()[0]
+        message = f"expected distributions by parameter, such as {{{first}: …}}, got {distribution!r:.80}"
+        raise InvalidInput.at(f"{_PARAMS}/{DISTRIBUTION}", message)
+    try:
+        return distributed(space, distribution)
+    except DistributionError as error:
+        raise InvalidInput.at(f"{_PARAMS}/{DISTRIBUTION}{_below(error.name)}", str(error)) from None
+
+
+def _below(name: str | None) -> str:
+    """Return the rest of a JSON pointer to an entry; empty for none."""
+    return "" if name is None else "/" + name.replace("~", "~0").replace("/", "~1")
 
 
 def check_extra(problem: Problem) -> None:
@@ -396,6 +423,12 @@ def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:
         "title": "Constraints",
         "default": [],
         "description": _ABOUT_CONSTRAINTS,
+    }
+    schema["properties"][DISTRIBUTION] = {
+        "type": "object",
+        "title": "Distribution",
+        "default": {},
+        "description": _ABOUT_DISTRIBUTION,
     }
     requirement = schema["properties"].get("requirement")
     if requirement is not None and problem.requirements:

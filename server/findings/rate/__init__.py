@@ -1,0 +1,1 @@
+"""Findings of the kind `rate`: how often solutions are unsafe in operation."""
