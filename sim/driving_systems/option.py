@@ -142,7 +142,7 @@ def factory_of(system: str, where: str = f"options.{OPTION}.system") -> MakeDriv
         return cast(MakeDrivingSystem, load_plugin(DRIVING_SYSTEMS, system))
     except KeyError:
         known = tuple(dict.fromkeys((OWN, *plugin_ids(DRIVING_SYSTEMS))))
-        expected = ", ".join([*known, "MODULE:CLASS"])
+        expected = ", ".join([*known, "MODULE:CLASS", "command:FILE.yaml"])
         raise InvalidEpisode(
             f"{where}: expected one of {expected}; got {system!r:.80}{nearest(system, known)}"
         ) from None

@@ -130,7 +130,7 @@ def test_language_models_are_not_told_of_brinks_driving_system_when_another_one_
 @pytest.mark.parametrize(
     ("driving", "message"),
     [
-        ("nobody@1", "expected one of modular@1, MODULE:CLASS; got 'nobody@1'"),
+        ("nobody@1", "expected one of modular@1, MODULE:CLASS, command:FILE.yaml; got 'nobody@1'"),
         ("idm:Nobody", "idm has no function 'Nobody'"),
         ("os:system", "expected MODULE:FUNCTION with a module that --plugin or BRINK_PLUGINS names"),
         ("command:./planner", "expected command:NAME@DIGEST"),

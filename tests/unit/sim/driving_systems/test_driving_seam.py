@@ -244,7 +244,10 @@ def test_out_of_memory_is_not_the_driving_systems_fault() -> None:
 @pytest.mark.parametrize(
     ("driving", "message"),
     [
-        ({"system": "nobody@1"}, "expected one of modular@1, MODULE:CLASS; got 'nobody@1'"),
+        (
+            {"system": "nobody@1"},
+            "expected one of modular@1, MODULE:CLASS, command:FILE.yaml; got 'nobody@1'",
+        ),
         (
             {"system": "os:system"},
             "expected MODULE:FUNCTION with a module that --plugin or BRINK_PLUGINS names",
