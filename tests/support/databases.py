@@ -8,7 +8,7 @@ import os
 import shutil
 import sqlite3
 import uuid
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -27,7 +27,8 @@ from brink.server.db.upgrade import upgrade
 
 URL_VARIABLE = "TEST_DATABASE_URL"
 BACKENDS = ("sqlite", "postgres")
-SQLITE_THEN_POSTGRES = ("sqlite", pytest.param("postgres", marks=pytest.mark.long("the other database")))
+OTHER = pytest.mark.long("the other database")
+SQLITE_THEN_POSTGRES = ("sqlite", pytest.param("postgres", marks=OTHER))
 """What the `databases` fixtures run on: on SQLite always, on Postgres with the long tests."""
 
 on_sqlite = pytest.mark.parametrize("databases", BACKENDS[:1], indirect=True)
@@ -35,6 +36,25 @@ module_on_sqlite = pytest.mark.parametrize("module_databases", BACKENDS[:1], ind
 on_postgres = pytest.mark.parametrize("databases", BACKENDS[1:], indirect=True)
 sqlite_then_postgres = pytest.mark.parametrize("databases", SQLITE_THEN_POSTGRES, indirect=True)
 """For tests in tests/integration/database of what no lock and no dialect decides."""
+
+
+def few_on_postgres(
+    name: str, values: Iterable[Any], few: Collection[Any], reason: str, *, later: bool = False
+) -> pytest.MarkDecorator:
+    """Parametrise a test of what each value stores in the same way: all run on SQLite, few on Postgres.
+
+    Args:
+        name: The argument that gets a value.
+        values: Its values.
+        few: Those that run on Postgres, and that `make test` covers; all others are marked ``long``.
+        reason: Why the others are left to `make test-all`.
+        later: Whether all that runs on Postgres is left to `make test-all`.
+    """
+    long = pytest.mark.long(reason)
+    rows = [pytest.param("sqlite", value, marks=() if value in few else long) for value in values]
+    rows += [pytest.param("postgres", value, marks=OTHER if later else ()) for value in few]
+    return pytest.mark.parametrize(("databases", name), rows, indirect=["databases"])
+
 
 FAST = {
     "fsync": "off",

@@ -22,8 +22,7 @@ from support.api import (
     undisturbed_digest,
 )
 from support.coordinators import Coordinators
-from support.databases import on_sqlite, sqlite_then_postgres
-from support.marks import mostly_long
+from support.databases import few_on_postgres, on_sqlite, sqlite_then_postgres
 
 from brink.server.campaigns import advance, plan, step_store, view_store
 from brink.server.campaigns.follow_ups import store as follow_ups
@@ -104,8 +103,7 @@ def test_a_large_submission_is_stored_in_pieces(client: httpx.Client, inserted: 
     assert max(inserted) <= step_store.PIECE == 500
 
 
-@sqlite_then_postgres
-@pytest.mark.parametrize("name", mostly_long(BODIES, ["random"], "another algorithm"))
+@few_on_postgres("name", BODIES, ["random"], "another algorithm", later=True)
 def test_a_campaign_in_pieces_finds_the_same(
     client: httpx.Client, small_pieces: None, inserted: list[int], name: str
 ) -> None:
@@ -115,7 +113,7 @@ def test_a_campaign_in_pieces_finds_the_same(
     assert max(inserted) <= PIECE
 
 
-@pytest.mark.parametrize("pieces", mostly_long(range(15), [0, 1, 13], "killed after another piece"))
+@few_on_postgres("pieces", range(15), [0, 1, 13], "killed after another piece")
 def test_a_coordinator_that_is_killed_between_pieces_is_continued(two: Coordinators, pieces: int) -> None:
     for _ in range(pieces):
         two.steppers[0].advance("c0ffee")

@@ -21,9 +21,8 @@ from support.api import (
     undisturbed_digest,
 )
 from support.coordinators import Coordinators
-from support.databases import on_postgres, on_sqlite, sqlite_then_postgres
+from support.databases import few_on_postgres, on_postgres, on_sqlite, sqlite_then_postgres
 from support.llm_endpoint import serving
-from support.marks import mostly_long
 from support.traffic import driven, seeded
 
 from brink.server.campaigns import advance, others, step_store, store
@@ -99,7 +98,7 @@ IN_FLIGHT = ("random", "edge", "thresholds", "sharpen", "nearest-opposite", "str
 """Campaigns of `COLD` with several generations in flight."""
 
 
-@pytest.mark.parametrize("name", mostly_long(COLD, ["mlcshe", "thresholds"], "runs a campaign twice"))
+@few_on_postgres("name", COLD, ["mlcshe", "thresholds"], "runs a campaign twice")
 def test_a_coordinator_that_is_started_again_finds_the_same(database_url: str, name: str) -> None:
     campaign, held = "", list[LeasedJob]()
     for wanted in (10, 27, 55, 1000):
@@ -189,14 +188,12 @@ def test_generations_in_flight_are_told_in_the_order_of_asking(overlapping: Coor
     assert overlapping.digest() == undisturbed_digest(CAMPAIGNS["random"])
 
 
-@sqlite_then_postgres
-@pytest.mark.parametrize("name", mostly_long(IN_FLIGHT, ["random", "thresholds"], "other algorithms"))
-@pytest.mark.parametrize("seed", mostly_long(range(2), [0], "the same in another order"))
+@few_on_postgres("name", IN_FLIGHT, ["random", "thresholds"], "other algorithms", later=True)
 def test_coordinators_that_take_turns_with_generations_in_flight_find_the_same(
-    engines: Engines, name: str, seed: int
+    engines: Engines, name: str
 ) -> None:
     overlapping = Coordinators(engines, COLD[name])
-    rng, turn = random.Random(seed), 0
+    rng, turn = random.Random(0), 0
     while overlapping.campaign.status is CampaignStatus.RUNNING:
         jobs = [*overlapping.lease(), *overlapping.lease()]
         rng.shuffle(jobs)
@@ -586,8 +583,7 @@ def test_the_sweeper_takes_a_step_that_nobody_took(database_url: str, two: Coord
         assert progress(client, "c0ffee")["digest"] == undisturbed_digest(ball())
 
 
-@sqlite_then_postgres
-@pytest.mark.parametrize("name", mostly_long(CAMPAIGNS, ["random"], "runs a campaign four times"))
+@few_on_postgres("name", CAMPAIGNS, ["random"], "runs a campaign four times", later=True)
 def test_a_warm_campaign_that_is_started_again_finds_the_same(database_url: str, name: str) -> None:
     """Also before its first generation was told, when what it started from is all that there is to restore."""
     digests = set()
