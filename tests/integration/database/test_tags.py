@@ -10,7 +10,7 @@ import httpx
 import pytest
 from sqlalchemy import insert, text
 from support.api import FakeWorker, ball, coordinator, expect, progress, submit
-from support.databases import Databases, sqlite_then_postgres
+from support.databases import Databases, on_sqlite, sqlite_then_postgres
 from support.queue import Queue
 from typer.testing import CliRunner
 
@@ -80,7 +80,7 @@ def test_pollers_see_a_change_and_nothing_else(client: httpx.Client) -> None:
     assert statuses() == {200}
 
 
-@sqlite_then_postgres
+@on_sqlite
 @pytest.mark.parametrize(
     ("fields", "pointer", "message"),
     [

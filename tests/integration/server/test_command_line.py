@@ -157,6 +157,7 @@ def test_non_ascii_token_is_one_line_without_it(brink: Command, monkeypatch: pyt
     assert "schl" not in line
 
 
+@on_sqlite
 @pytest.mark.parametrize(
     "command", [("status",), ("results", "3f2a"), ("experiment", "list"), ("worker",)], ids=" ".join
 )
@@ -257,6 +258,7 @@ def newer(url: str) -> None:
     engines.dispose()
 
 
+@on_sqlite
 def test_port_in_use_is_one_line(brink: Command, databases: Databases, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken, databases.database() as url:
         port = str(taken.getsockname()[1])
@@ -266,6 +268,7 @@ def test_port_in_use_is_one_line(brink: Command, databases: Databases, tmp_path:
             assert "--port" in line
 
 
+@on_sqlite
 def test_run_takes_another_port_if_the_usual_one_is_in_use(database_url: str, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         settings = settings_for(database_url, port=taken.getsockname()[1])

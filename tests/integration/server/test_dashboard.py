@@ -38,6 +38,7 @@ def guarded(database_url: str) -> Iterator[httpx.Client]:
         yield client
 
 
+@on_sqlite
 def test_page_and_its_files_need_neither_token_nor_internet(guarded: httpx.Client) -> None:
     with httpx.Client(base_url=guarded.base_url, verify=False) as stranger:
         page = stranger.get("/")
@@ -62,6 +63,7 @@ def test_every_imported_module_exists() -> None:
             assert (module.parent / named).resolve().is_file(), f"{module.relative_to(STATIC)}: {named}"
 
 
+@on_sqlite
 def test_other_files_of_the_package_are_not_served(guarded: httpx.Client) -> None:
     with httpx.Client(base_url=guarded.base_url, verify=False) as stranger:
         for path in ("/dashboard/../page.py", "/dashboard/%2e%2e/page.py", "/dashboard/js", "/dashboard"):
@@ -80,6 +82,7 @@ def test_access_answers_with_the_scope_of_the_token(
         assert body == {"tokens": True, "scope": scope}
 
 
+@on_sqlite
 def test_access_without_tokens_is_admin(client: httpx.Client) -> None:
     assert expect(client.get("/api/v1/access")) == {"tokens": False, "scope": "admin"}
 
@@ -243,6 +246,7 @@ def test_campaign_without_verdicts_has_an_empty_map_and_curve(client: httpx.Clie
     assert expect(client.get(f"{API}/campaigns/{campaign}/dependence"))["evaluated"] == 0
 
 
+@on_sqlite
 def test_campaign_file_is_checked_without_being_stored(client: httpx.Client) -> None:
     headers = {"Content-Type": "application/yaml"}
     body = expect(client.post(f"{API}/campaigns/check", content=FILE, headers=headers))
@@ -254,6 +258,7 @@ def test_campaign_file_is_checked_without_being_stored(client: httpx.Client) -> 
     assert expect(client.get(f"{API}/overview"))["id"] == []
 
 
+@on_sqlite
 def test_check_of_a_wrong_campaign_file_points_at_the_error(client: httpx.Client) -> None:
     for text, pointer, words in (
         ("name: [", "", "line 1"),

@@ -6,8 +6,9 @@ import json
 import os
 import tracemalloc
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from shutil import copyfile
 from typing import Any
 
 import httpx
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from sqlalchemy import func, select
 from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, progress, reached, submit
-from support.databases import SQLITE_THEN_POSTGRES, Databases, databases_for, on_sqlite
+from support.databases import Databases, on_sqlite
 from support.marks import mostly_long
 from support.queue import Queue
 from support.urban_pairs import SAFE, UNSAFE, judged
@@ -52,11 +53,10 @@ def export(database: str, file: Path) -> tuple[str, str]:
     return campaign, digest
 
 
-@pytest.fixture(scope="module", params=SQLITE_THEN_POSTGRES)
-def elsewhere(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """One database for all forged files, none of which changes it."""
-    with databases_for(request, tmp_path_factory.mktemp("elsewhere")).database() as url:
-        yield url
+@pytest.fixture(scope="module")
+def elsewhere(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """One database for all forged files, none of which changes it: each is refused before it is written."""
+    return f"sqlite:///{copyfile(sqlite_file, tmp_path_factory.mktemp('elsewhere') / 'brink.db')}"
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 import pytest
 from support.api import FakeWorker, ball, coordinator, expect, finish, progress, row_counts, submit
-from support.databases import Databases
+from support.databases import Databases, module_on_sqlite
 from support.marks import mostly_long
 from support.problems import small_problems
 
@@ -229,6 +229,7 @@ def test_another_problem_is_refused_and_its_solutions_alone_are_simulated_first(
     assert (np.diff(sizes[1::2]) >= 0).all()
 
 
+@module_on_sqlite
 def test_more_points_than_the_budget_are_refused(client: httpx.Client, earlier: str) -> None:
     start = {"campaign": earlier, "results": False}
     error = error_of(client, ball(algorithm=RANDOM, start_from=start, simulations=59))
@@ -323,6 +324,7 @@ BAD = [
 ]
 
 
+@module_on_sqlite
 @pytest.mark.parametrize(("start", "pointer", "message", "nearest"), BAD)
 def test_answer_points_at_what_is_wrong(
     client: httpx.Client, engines: Engines, start: Body, pointer: str, message: str, nearest: str | None
@@ -337,6 +339,7 @@ def test_answer_points_at_what_is_wrong(
     assert checked.status_code == 422
 
 
+@module_on_sqlite
 @pytest.mark.parametrize(
     "algorithm", ["nsga2@1", "mosat@1", "mumoea@1", "simood-ga@1", "repeat@1", "minimise@1"]
 )
@@ -394,6 +397,7 @@ def test_another_space_is_refused_with_what_differs(client: httpx.Client, earlie
     assert "searches another space: it has what.y, this one none" in error["message"]
 
 
+@module_on_sqlite
 def test_robustness_that_is_no_number_is_refused(client: httpx.Client) -> None:
     content = json.dumps(ball(start_from={"solutions": [point(0, 0, 9.0)]})).replace("9.0", "NaN")
     answer = client.post("/api/v1/campaigns", content=content, headers={"Content-Type": "application/json"})
