@@ -12,8 +12,9 @@ ENCOUNTER_SIMULATORS: Final = ("brink-encounter@2", "brink-encounter-camera@3")
 STREET_SIMULATORS: Final = ("brink-aeb@2", "brink-aeb@3")
 EXPORTABLE: Final = (*URBAN_SIMULATORS, *ENCOUNTER_SIMULATORS, *STREET_SIMULATORS)
 """Simulators whose worlds have roads that can be exported."""
-EXPORTED: Final = "scenario.xosc"
-"""The file by which a folder is known as an earlier export."""
+SCENARIO_FILE: Final = "scenario.xosc"
+EXPORTED: Final = (SCENARIO_FILE, "verdicts.json", "value-sets.xosc")
+"""Files by which a folder is known as an earlier export."""
 PROBLEMS: Final = ("urban-injected@1", "urban-errors@1", "urban-camera@1", "npc-actions@1", "aeb-crossing@1")
 """Problems that use them."""
 

@@ -14,13 +14,12 @@ from typing import Any, Final
 from brink import __version__
 from brink.report.component import write_boxes
 from brink.scenarios import opendrive, openscenario, replay_in_carla
-from brink.scenarios.exportable import EXPORTED, EgoControl
+from brink.scenarios.exportable import SCENARIO_FILE, EgoControl
 from brink.scenarios.worlds import spec_of, world_of
 from brink.sim.catalogue import make_requirements
 from brink.sim.episode import Json, JsonObject
 from brink.sim.trace import VIOLATED_AT_S, Trace
 
-SCENARIO_FILE: Final = EXPORTED
 ROAD_FILE: Final = "road.xodr"
 BOXES_FILE: Final = "boxes.csv"
 VERDICTS_FILE: Final = "verdicts.json"

@@ -1,5 +1,6 @@
 """OpenSCENARIO parameters and distributions as search spaces, and values written back."""
 
+import json
 import math
 import re
 from datetime import UTC, datetime
@@ -26,10 +27,12 @@ from support.logical_scenarios import (
 )
 from support.standards import schema_errors
 
+from brink.scenarios.exportable import NotExportable
 from brink.scenarios.logical.campaign import Draft
 from brink.scenarios.logical.declarations import declarations_of
-from brink.scenarios.logical.distributions import Variation, distributions_of
+from brink.scenarios.logical.distributions import Variation, distributions_of, scenario_of
 from brink.scenarios.logical.document import Document, Element, parse_document, read_document
+from brink.scenarios.logical.folder import Exported, write_solutions
 from brink.scenarios.logical.laws import share_inside, usual_range
 from brink.scenarios.logical.space import LogicalScenario, MissingRanges, Wishes, logical_scenario
 from brink.scenarios.logical.template import template_of, varied_parameters
@@ -39,6 +42,7 @@ from brink.server.documents import parse_yaml
 from brink.server.errors import InvalidInput
 from brink.server.problems.catalogue import make_problem
 from brink.server.problems.command import Command
+from brink.server.views import SolutionView
 
 SCHEMA = "OpenSCENARIO_1_3_1.xsd"
 OLDER = "OpenSCENARIO_1_1.xsd"
@@ -229,3 +233,57 @@ def test_the_share_of_a_range_is_its_probability(
     expected = reference.cdf(4.0) - reference.cdf(1.0) + (reference.pmf(1) if kind == "poisson" else 0.0)
     assert share_inside(variation, 1.0, 4.0) == pytest.approx(expected)
     assert 0.9999 < share_inside(variation, *usual_range(variation)) <= 1.0 + 1e-9
+
+
+def solution(**given: Any) -> SolutionView:
+    return SolutionView.model_construct(**given)
+
+
+def test_solutions_are_written_with_their_verdicts_and_listed_together(tmp_path: Path) -> None:
+    logical = read(CASES["value-sets"])
+    draft = Draft(
+        name="sets",
+        origin="sets",
+        command=["./sim", "{seed}", "{out}"],
+        axes=logical.axes,
+        signals={"file": "log.csv"},
+        requirements={"safe": {"signal": "x", "above": 0.0}},
+        budget=10,
+    )
+    template = {"scenario.xosc": {"content": template_of(logical).content.decode()}}
+    params = draft.params() | {"files": template, "copies": {"a/b": {"base64": "YWI="}}}
+    chosen = [{"values": "2", "gap": 7.5}, {"values": "1", "gap": 60.0}]
+    exported = [
+        Exported(
+            solution=solution(
+                number=number,
+                verdict=verdict,
+                words="",
+                verdicts={},
+                spec={"scenario": {"scenario": values}, "seed": 9},
+            ),
+            folder=verdict,
+        )
+        for number, (verdict, values) in enumerate(zip(("safe", "unsafe"), chosen, strict=True), start=4)
+    ]
+    files = write_solutions(params, exported, tmp_path, campaign="3f2a", name="sets", created_at=NOW)
+    names = ("a/b", "scenario.xosc", "verdicts.json")
+    expected = {f"{verdict}/{name}" for verdict in ("safe", "unsafe") for name in names} | {"value-sets.xosc"}
+    assert {str(file.relative_to(tmp_path)) for file in files} == expected
+    verdicts = json.loads((tmp_path / "unsafe" / "verdicts.json").read_text())
+    assert (verdicts["solution"], verdicts["verdict"]) == (5, "unsafe")
+    assert verdicts["command"] == ["./sim", "9", str(tmp_path / "unsafe")]
+    document = read_document(tmp_path / "value-sets.xosc")
+    assert schema_errors(document.path, SCHEMA) == []
+    name, _ = scenario_of(document)
+    base = declarations_of(read_document(tmp_path / name))
+    (sets,) = distributions_of(document, base).sets
+    assert list(sets.rows) == [
+        {"v": "15.5", "car": "<bus>", "gap": "7.5"},
+        {"v": "10", "car": "bus", "gap": "60.0"},
+    ]
+    assert {base[one].value for one in sets.rows[0]} == set(sets.rows[0].values())
+    unsimulated = Exported(solution=solution(number=6, spec=None))
+    with pytest.raises(NotExportable, match="solution 6 was not simulated"):
+        write_solutions(params, [unsimulated], tmp_path / "new", campaign="3f2a", name="sets", created_at=NOW)
+    assert not (tmp_path / "new").exists()
