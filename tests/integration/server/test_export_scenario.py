@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from support.api import FakeWorker, ball, coordinator, expect, finish, submit
 from support.drives import simulate
+from support.logical_scenarios import CASES, deterministic, steps
 from support.problems import small_problems
 from support.standards import ScenarioReader, schema_errors
 from typer.testing import CliRunner, Result
@@ -20,10 +21,16 @@ from typer.testing import CliRunner, Result
 from brink.cli.commands import app
 from brink.extras import install_command
 from brink.scenarios.exportable import NotExportable
+from brink.scenarios.logical.declarations import declarations_of
+from brink.scenarios.logical.document import parse_document, read_document
+from brink.scenarios.logical.space import logical_scenario
+from brink.scenarios.logical.template import template_of
 from brink.server.errors import InvalidInput
+from brink.sim.adapters.command.definition import Definition
 from brink.sim.episode import EpisodeSpec
 from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDrive
+from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
 pytestmark = pytest.mark.long("simulates drives; the conversion has unit tests")
 
@@ -104,6 +111,63 @@ def test_a_stored_drive_is_exported_as_it_was(driven: Driven, tmp_path: Path) ->
         assert one["robustness"] == pytest.approx(stored["robustness"], abs=1e-4)
         assert one["decides_the_verdict"] == (name == "front-gap@1")
     assert driven.campaign in (out / "README.txt").read_text()
+
+
+def braked(job: LeasedJob) -> Completed:
+    """Return the outcome of a command that brakes from v behind a gap."""
+    values = EpisodeSpec.from_json(job.spec).scenario["scenario"]
+    assert isinstance(values, dict)
+    margin_m = float(str(values["gap"])) - float(str(values["v"])) ** 2 / 20.0
+    verdict = WireVerdict(robustness=margin_m, unit="m", violated_at_s=1.0 if margin_m < 0 else None)
+    return Completed(verdicts={"apart": verdict}, objectives={}, features={}, provenance={})
+
+
+def test_both_sides_of_a_pair_of_a_command_are_written_with_their_values(
+    sqlite_file: Path, tmp_path: Path
+) -> None:
+    case = CASES["value-sets"]
+    varied = deterministic(steps("v", 10, 35, 0.1), steps("gap", 5, 60, 0.1))
+    logical = logical_scenario(
+        parse_document(Path("scenario.xosc"), case.scenario.encode()),
+        parse_document(Path("variation.xosc"), varied.encode()),
+    )
+    params = {
+        "command": ["sim", "scenario.xosc"],
+        "files": {"scenario.xosc": {"content": template_of(logical).content.decode()}},
+        "space": {"scenario": {axis.name: axis.declared for axis in logical.axes}},
+        "signals": {"file": "log.csv"},
+        "requirements": {"apart": {"signal": "gap_m", "above": 0.0, "unit": "m"}},
+        "program": "0",
+    }
+    url = copied(sqlite_file, tmp_path)
+    with coordinator(url) as client:
+        campaign = submit(
+            client,
+            {
+                "name": "braking",
+                "problem": {"id": "command@1", "params": params},
+                "algorithm": {"id": "edge@2"},
+                "budget": {"simulations": 120},
+            },
+        )
+        worker = FakeWorker(client, capabilities=(Definition.of(params).simulator_id("0"),), judge=braked)
+        assert worker.work(campaign)["status"] == "finished"
+    out = tmp_path / "pair"
+    for _ in range(2):  # an export may be replaced
+        told = export("scenario", campaign, "--pair", "1", "--database", url, "--out", str(out))
+        assert told.exit_code == 0, told.output
+    safe, unsafe = sorted(one for one in out.iterdir() if one.is_dir())
+    assert (safe.name.partition("-")[0], unsafe.name.partition("-")[0]) == ("safe", "unsafe")
+    values = []
+    for side in (safe, unsafe):
+        declared = declarations_of(read_document(side / "scenario.xosc"))
+        assert schema_errors(side / "scenario.xosc", "OpenSCENARIO_1_3_1.xsd") == []
+        values.append([float(declared[name].value) for name in ("v", "gap")])
+    assert values[0][1] > values[0][0] ** 2 / 20.0 - 0.01
+    assert values[1][1] < values[1][0] ** 2 / 20.0
+    assert schema_errors(out / "value-sets.xosc", "OpenSCENARIO_1_1.xsd") == []
+    with pytest.raises(InvalidInput, match="expected numbers of solutions, or --pair"):
+        export("scenario", campaign, "--database", url, "--out", str(out))
 
 
 def test_a_problem_without_roads_is_refused_with_those_that_have_some(
