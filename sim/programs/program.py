@@ -29,6 +29,7 @@ PRINTED_BYTES: Final = 4096
 """How much of a program's output is kept for messages."""
 _READ_BYTES: Final = 1 << 16
 _READS_PER_DRAIN: Final = 16
+_SETPRIV: Final = "/usr/bin/setpriv"
 _KILLED: Final = "the supervisor of programs was killed"
 _LENGTH: Final = struct.Struct(">I")
 _INHERITED: Final = (
@@ -57,11 +58,15 @@ class Ending:
 class Supervisor:
     """A process that runs programs, one at a time. A context manager; ends with this process at the latest.
 
+    Args:
+        limits: Values of resource limits, such as ``{"RLIMIT_FSIZE": 10_000_000}``, for each process of the programs.
+            They also have those of this process.
+
     Raises:
         OSError: This system is not Linux.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, limits: Mapping[str, int] | None = None) -> None:
         if sys.platform != "linux":
             raise OSError("programs of users run on Linux alone")
         control, theirs = socket.socketpair()
@@ -70,7 +75,7 @@ class Supervisor:
                 # By its path and without site-packages: a fifth of the time to start.
                 [
                     *(sys.executable, "-I", "-S", str(Path(__file__).with_name("supervisor.py"))),
-                    *(str(theirs.fileno()), str(os.getpid())),
+                    *(str(theirs.fileno()), str(os.getpid()), json.dumps(dict(limits or {})), _setpriv()),
                 ],
                 stdin=subprocess.DEVNULL,
                 pass_fds=(theirs.fileno(),),
@@ -95,7 +100,6 @@ class Supervisor:
         *,
         folder: Path,
         environment: Mapping[str, str],
-        limits: Mapping[str, int] | None = None,
         channel_variable: str | None = None,
     ) -> "Program":
         """Start a program. The one before must have ended.
@@ -104,8 +108,6 @@ class Supervisor:
             command: Program and arguments; no shell reads them.
             folder: Working folder.
             environment: All environment variables; see `plain_environment`.
-            limits: Values of resource limits, such as ``{"RLIMIT_FSIZE": 10_000_000}``, for each of its processes. It
-                also has those of this process.
             channel_variable: Name of the environment variable that gets the number of a file descriptor: a stream
                 socket, whose other end is `Program.channel`. None: no such socket.
 
@@ -120,7 +122,6 @@ class Supervisor:
                 "command": list(command),
                 "folder": str(folder),
                 "environment": dict(environment),
-                "limits": dict(limits or {}),
                 "channel_variable": channel_variable,
             }
         ).encode()
@@ -142,6 +143,11 @@ class Supervisor:
             raise OSError(reply["errno"], reply["strerror"], reply["filename"])
         program.pid = reply["pid"]
         return program
+
+
+def _setpriv() -> str:
+    """Return the path of util-linux's setpriv; empty without one. BusyBox's lacks the option that is needed."""
+    return _SETPRIV if os.access(_SETPRIV, os.X_OK) and not os.path.islink(_SETPRIV) else ""
 
 
 def _close(control: socket.socket, popen: "subprocess.Popen[bytes]") -> None:

@@ -112,7 +112,7 @@ class CommandSimulator:
         self.id = definition.simulator_id(program)
         self._definition = definition
         self._program = program
-        self._supervisor = Supervisor()
+        self._supervisor = Supervisor(_LIMITS)
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
         """Run one episode in a working folder of its own.
@@ -203,7 +203,7 @@ class CommandSimulator:
         environment = self._definition.variables(folder)
         deadline_s = time.monotonic() + timeout_s
         try:
-            program = self._supervisor.start(command, folder=folder, environment=environment, limits=_LIMITS)
+            program = self._supervisor.start(command, folder=folder, environment=environment)
         except OSError as error:
             raise InvalidEpisode(f"{command[0]} cannot be run: {error.strerror}") from None
         with program:

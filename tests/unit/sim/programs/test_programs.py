@@ -14,6 +14,7 @@ from support.running import assert_gone, new_mark, parent_of, running
 
 from brink.sim.errors import SimulationCrashed
 from brink.sim.programs import Program, Supervisor, plain_environment
+from brink.sim.programs import program as module
 from brink.sim.programs.program import PRINTED_BYTES
 
 PATIENCE_S = 30.0
@@ -39,8 +40,8 @@ def supervisor() -> Iterator[Supervisor]:
         yield supervisor
 
 
-def start(supervisor: Supervisor, *command: str, limits: dict[str, int] | None = None) -> Program:
-    return supervisor.start(command, folder=Path("/"), environment=plain_environment(), limits=limits)
+def start(supervisor: Supervisor, *command: str) -> Program:
+    return supervisor.start(command, folder=Path("/"), environment=plain_environment())
 
 
 def soon() -> float:
@@ -72,13 +73,18 @@ def test_a_program_that_forks_for_ever_is_caught(supervisor: Supervisor) -> None
 
 
 def test_programs_die_with_the_process_that_runs_them_and_with_their_supervisor(tmp_path: Path) -> None:
-    for whom in ("parent", "supervisor"):
+    for whom, setpriv in (
+        ("parent", module._SETPRIV),
+        ("supervisor", module._SETPRIV),
+        ("supervisor", "/no/setpriv"),
+    ):
         mark = new_mark()
         script = "sleep {0}" if whom == "supervisor" else "(setsid sleep {0} &) ; sleep {0}"
         code = f"""
 import json, time
 from pathlib import Path
-from brink.sim.programs import Supervisor, plain_environment
+from brink.sim.programs import Supervisor, plain_environment, program as module
+module._SETPRIV = {setpriv!r}
 program = Supervisor().start(["sh", "-c", "exec " + {script.format(mark)!r}] if {whom == "supervisor"} else
     ["sh", "-c", {script.format(mark)!r}], folder=Path("/"), environment=plain_environment())
 print(program.pid, flush=True)
@@ -113,8 +119,8 @@ print(json.dumps({"fds": sorted(map(int, os.listdir("/proc/self/fd")))[:-1], "ig
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR2})
     try:
         with (
-            Supervisor() as cautious,
-            start(cautious, sys.executable, "-I", "-c", code, limits={"RLIMIT_FSIZE": 4096}) as program,
+            Supervisor({"RLIMIT_FSIZE": 4096}) as cautious,
+            start(cautious, sys.executable, "-I", "-c", code) as program,
         ):
             assert program.wait(soon()) is not None
             said = json.loads(program.output())
