@@ -1,9 +1,10 @@
-"""Empty folders for programs and models of users: of this user alone, and removed at the latest by the next one."""
+"""Empty folders for programs and models of users: of this user alone, and emptied at the latest by the next one."""
 
 import contextlib
 import fcntl
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -40,11 +41,28 @@ def working_folder() -> Iterator[tuple[Path, int]]:
             continue
         folder = own / str(number)
         try:
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir()
+            _empty(folder)
             yield folder, number
         finally:
-            shutil.rmtree(folder, ignore_errors=True)
+            if folder.exists():  # otherwise it is kept
+                _empty(folder)
             os.close(lock)
         return
     raise SimulationCrashed(f"expected fewer than {_MAX_RUNNING:,} episodes at once in {own}")
+
+
+def _empty(folder: Path) -> None:
+    """Empty a folder, or make it. It stays, as removing a folder may take longer than all the rest."""
+    try:
+        if not stat.S_ISDIR(folder.lstat().st_mode):
+            folder.unlink()
+        folder.mkdir(exist_ok=True)
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    shutil.rmtree(entry.path)
+                else:
+                    os.unlink(entry.path)
+    except OSError:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()

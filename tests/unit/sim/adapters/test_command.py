@@ -28,11 +28,11 @@ SPACE = {"scenario": {"x": {"min": -5, "max": 5}}}
 
 @pytest.fixture(autouse=True)
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Yield the folder of all working folders, which has none of an episode afterwards."""
+    """Yield the folder of all working folders, which are empty afterwards."""
     monkeypatch.setattr(module.tempfile, "gettempdir", lambda: str(tmp_path))  # type: ignore[attr-defined]
     folder = tmp_path / f"brink-commands-{os.getuid()}"
     yield folder
-    assert not [one for one in folder.glob("*") if one.name.isdigit()]
+    assert not [one for one in folder.glob("*/*") if one.parent.name.isdigit()]
 
 
 def definition_of(script: str = LOG, **changed: Any) -> Definition:
