@@ -1,4 +1,4 @@
-"""The urban problem and what an episode costs: `difficulty`, `drivers`, `driving`, `control`, `sim`."""
+"""The urban problem and what an episode costs: `difficulty`, `drivers`, `driving`, `command`, `control`, `sim`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -90,6 +90,22 @@ def driving(
 
     with show_progress() as progress:
         rows = measure_driving(drives=drives, seed=seed, progress=progress)
+    conclude_rows(rows, as_json=as_json)
+
+
+def command(
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each program in one process.")] = 200,
+    simulations: Annotated[int, typer.Option(min=20, help="Simulations of each campaign.")] = 600,
+    as_json: AsJson = False,
+) -> None:
+    """Measure what command@1 adds to a program of 20 ms and one of 2 ms. Needs a C++ compiler.
+
+    Example: python -m benchmarks command --simulations 600
+    """
+    from benchmarks.command import measure_command
+
+    with show_progress() as progress:
+        rows = measure_command(episodes=episodes, simulations=simulations, progress=progress)
     conclude_rows(rows, as_json=as_json)
 
 
