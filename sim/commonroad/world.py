@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from brink.sim.bullet.engine import Engine
-from brink.sim.commonroad.recording import NOT_VEHICLES, Recording, RoadUser, contains
+from brink.sim.commonroad.recording import NOT_VEHICLES, Interval, Recording, RoadUser, contains
 from brink.sim.commonroad.roads import Place
 from brink.sim.driving.interface import CONTROL_STEP_S
 from brink.sim.plane import Rectangle, signed_gap_m
@@ -226,26 +226,24 @@ class RecordedWorld:
         return 0.0
 
     def goal_reached(self, time_s: float) -> bool:
-        """Return whether the ego is in a goal state at a time."""
+        """Return whether the ego is in a goal state, which has a place, at a time."""
         recording, ego = self.place.recording, self.ego
-        step = recording.start_step + time_s / recording.step_s
-        for goal in recording.goals:
-            if (
-                not goal.areas
-                or not goal.steps.holds(round(step, 6))
-                or not goal.speed_mps.holds(ego.speed_mps)
-            ):
-                continue
-            turns = (
-                round((0.5 * (goal.yaw_rad.low + goal.yaw_rad.high) - ego.yaw_rad) / (2.0 * math.pi))
-                if (math.isfinite(goal.yaw_rad.low))
-                else 0
-            )
-            if goal.yaw_rad.holds(ego.yaw_rad + 2.0 * math.pi * turns) and any(
-                contains(area, ego.x_m, ego.y_m) for area in goal.areas
-            ):
-                return True
-        return False
+        step = round(recording.start_step + time_s / recording.step_s, 6)
+        return any(
+            goal.steps.holds(step)
+            and goal.speed_mps.holds(ego.speed_mps)
+            and _holds_angle(goal.yaw_rad, ego.yaw_rad)
+            and any(contains(area, ego.x_m, ego.y_m) for area in goal.areas)
+            for goal in recording.goals
+        )
+
+
+def _holds_angle(interval: Interval, angle_rad: float) -> bool:
+    """Return whether an angle lies in an interval, whole turns aside."""
+    if math.isinf(interval.low):
+        return True
+    turns = round((0.5 * (interval.low + interval.high) - angle_rad) / (2.0 * math.pi))
+    return interval.holds(angle_rad + 2.0 * math.pi * turns)
 
 
 class RecordedFacts(Facts):

@@ -164,6 +164,17 @@ def test_a_lead_that_is_not_reported_is_hit(name: str) -> None:
     assert [event.kind for event in trace.events].count("collision") == 1
 
 
+@pytest.mark.parametrize(("low", "high", "holds"), [(-0.1, 0.1, True), (6.2, 6.4, True), (1.0, 2.0, False)])
+def test_a_goal_has_a_heading_whole_turns_aside(low: float, high: float, holds: bool) -> None:
+    document = example_document()
+    area = [[-5_000, 10_000, 0, -10_000], [-2_000, 0, 4_000, 0]]
+    goal = {**document["goals"][0], "areas": [area], "steps": [0, 80], "yaw_rad": [low, high]}
+    place = place_of(Recording.of({**document, "goals": [goal]}))
+    world = make_recorded_world(place, speed_share=1.0, reacting=False)
+    assert world.goal_reached(0.0) == holds
+    assert not world.goal_reached(8.1)
+
+
 def test_the_goal_ends_a_drive_in_its_time_alone() -> None:
     document = example_document()
     place = {"areas": [[[20_000, 80_000, 0, -80_000], [-2_000, 0, 4_000, 0]]], "lanelets": []}
