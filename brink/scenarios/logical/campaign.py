@@ -6,6 +6,7 @@ from typing import Any
 
 import yaml
 
+from brink.scenarios.logical.laws import declared_law
 from brink.scenarios.logical.space import Axis
 
 EDIT = "EDIT"
@@ -50,6 +51,14 @@ class Draft:
         """The algorithm: one for thresholds if there are numbers to find them in."""
         return "edge@2" if any(not axis.rows for axis in self.axes) else "random@1"
 
+    @property
+    def distribution(self) -> dict[str, Any]:
+        """The operational distribution, by component.parameter; what is uniform is left out."""
+        laws = {
+            f"{SCENARIO}.{axis.name}": declared_law(axis.law) for axis in self.axes if axis.law is not None
+        }
+        return {name: law for name, law in laws.items() if law is not None}
+
     def params(self) -> dict[str, Any]:
         """Return the parameters of the problem."""
         params = {
@@ -58,6 +67,7 @@ class Draft:
             "copies": dict(self.copies),
             "space": {SCENARIO: {axis.name: dict(axis.declared) for axis in self.axes}},
             "constraints": list(self.constraints),
+            "distribution": self.distribution,
             "signals": dict(self.signals),
             "requirements": dict(self.requirements),
         }
@@ -81,6 +91,11 @@ class Draft:
             lines.append(f"        {_flow(axis.name)}: {_flow(dict(axis.declared))}{about}")
         if self.constraints:
             lines += ["    constraints:", *(f"      - {_flow(one)}" for one in self.constraints)]
+        if distribution := self.distribution:
+            lines.append(
+                "    distribution:   # random@1 and rate@1 draw by it; searches for thresholds ignore it"
+            )
+            lines += [f"      {_flow(name)}: {_flow(law)}" for name, law in distribution.items()]
         lines.append(f"    signals: {_flow(params['signals'])}{self._edit('signals')}")
         lines.append("    requirements:" + self._edit("requirements"))
         lines += [f"      {_flow(name)}: {_flow(one)}" for name, one in self.requirements.items()]

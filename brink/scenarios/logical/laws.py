@@ -38,6 +38,28 @@ def law_of_weights(weights: Mapping[str, float]) -> Law:
     return {"kind": "weights", "weights": {value: weight / total for value, weight in weights.items()}}
 
 
+def declared_law(law: Law) -> dict[str, Any] | None:
+    """Return a law as the ``distribution`` of a campaign declares it; None for a uniform one, which is the default.
+
+    A Poisson distribution becomes a histogram with a bin around each whole number.
+    """
+    match law["kind"]:
+        case "uniform":
+            return None
+        case "normal":
+            return {"normal": {"mean": law["mean"], "deviation": law["sd"]}}
+        case "lognormal":
+            log = _log_normal(law["mean"], law["sd"])
+            return {"lognormal": {"median": math.exp(log.mean), "sigma": log.stdev}}
+        case "poisson":
+            counts = range(math.ceil(law["min"]), math.floor(law["max"]) + 1)
+            edges = [counts[0] - 0.5, *(count + 0.5 for count in counts)]
+            return {"histogram": {"edges": edges, "weights": [_poisson(law["mean"], one) for one in counts]}}
+        case "histogram":
+            return {"histogram": {"edges": list(law["edges"]), "weights": list(law["weights"])}}
+    return {"weights": dict(law["weights"])}
+
+
 def share_inside(variation: Variation, low: float, high: float) -> float:
     """Return the probability that an uncut variation gives to a range."""
     return _up_to(variation, high) - _up_to(variation, low, without=True)
@@ -57,7 +79,15 @@ def usual_range(variation: Variation) -> tuple[float, float]:
 
 
 def _logarithm(variation: Variation) -> NormalDist:
-    mean, sd = variation.numbers["mean"], variation.numbers["sd"]
+    return _log_normal(variation.numbers["mean"], variation.numbers["sd"])
+
+
+def _poisson(mean: float, count: int) -> float:
+    return math.exp(count * math.log(mean) - mean - math.lgamma(count + 1))
+
+
+def _log_normal(mean: float, sd: float) -> NormalDist:
+    """Return the distribution of the logarithm of a log-normal value."""
     variance = math.log1p((sd / mean) ** 2)
     return NormalDist(math.log(mean) - 0.5 * variance, math.sqrt(variance))
 
@@ -72,11 +102,7 @@ def _up_to(variation: Variation, value: float, *, without: bool = False) -> floa
             return _logarithm(variation).cdf(math.log(value)) if value > 0 else 0.0
         case "poisson":
             last = math.ceil(value) - 1 if without else math.floor(value)
-            logarithms = (
-                count * math.log(numbers["mean"]) - numbers["mean"] - math.lgamma(count + 1)
-                for count in range(last + 1)
-            )
-            return math.fsum(map(math.exp, logarithms))
+            return math.fsum(_poisson(numbers["mean"], count) for count in range(last + 1))
         case "histogram":
             edges, weights = numbers["edges"], numbers["weights"]
             below = math.fsum(

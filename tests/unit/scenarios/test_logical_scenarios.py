@@ -33,7 +33,7 @@ from brink.scenarios.logical.declarations import declarations_of
 from brink.scenarios.logical.distributions import Variation, distributions_of, scenario_of
 from brink.scenarios.logical.document import Document, Element, parse_document, read_document
 from brink.scenarios.logical.folder import Exported, write_solutions
-from brink.scenarios.logical.laws import share_inside, usual_range
+from brink.scenarios.logical.laws import declared_law, share_inside, usual_range
 from brink.scenarios.logical.space import LogicalScenario, MissingRanges, Wishes, logical_scenario
 from brink.scenarios.logical.template import template_of, varied_parameters
 from brink.scenarios.logical.value_sets import value_sets
@@ -211,6 +211,21 @@ def test_missing_ranges_are_listed_together_or_kept() -> None:
     assert [declaration.name for declaration, _ in error.value.missing] == ["v", "n"]
     for wishes in (Wishes(keep_others=True), Wishes(keep=frozenset({"v", "n"}))):
         assert [axis.name for axis in logical_scenario(scenario, None, wishes).axes] == ["w"]
+
+
+def test_laws_are_declared_as_the_operational_distribution_of_a_campaign() -> None:
+    def declared_of(name: str) -> Any:
+        return {axis.name: declared_law(axis.law) for axis in read(CASES[name]).axes if axis.law}
+
+    assert declared_of("normal") == {"v": {"normal": {"mean": 20.0, "deviation": 3.0}}}
+    assert declared_of("uniform") == {"v": None}
+    assert declared_of("probability-set") == {"car": {"weights": {"bus": 0.25, "van": 0.75}}}
+    histogram = declared_of("poisson")["v"]["histogram"]
+    assert histogram["edges"] == [0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5]
+    assert histogram["weights"] == pytest.approx(scipy.stats.poisson(2.0).pmf(range(1, 9)))
+    numbers = declared_of("log-normal")["v"]["lognormal"]
+    value = scipy.stats.lognorm(numbers["sigma"], scale=numbers["median"])
+    assert (value.mean(), value.std()) == pytest.approx((2.0, 1.0))
 
 
 @pytest.mark.parametrize(
