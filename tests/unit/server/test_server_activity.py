@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.marks import mostly_long
+from support.urban_pairs import BOX, NONE, SCENARIO
 
 from brink.server.problems.base import NO_PART, Activity, activity_of, describe_candidate
 from brink.server.problems.npc_actions import NpcActions
@@ -17,26 +18,6 @@ from brink.sim.urban.behaviour import BOX_SIDES, InjectedTrajectory, steps_from_
 URBAN = UrbanInjected(UrbanInjected.params_type())
 NPC = NpcActions(NpcActions.params_type())
 SPACE = URBAN.space
-SCENARIO = {
-    "time_of_day": "noon",
-    "weather": "clear",
-    "pedestrians": "0",
-    "road_curve": "straight",
-    "road_id": "0",
-    "road_length": "0",
-    "driving_task": "follow_road",
-}
-BOX = {
-    "x_min_0_px": 300.0,
-    "x_max_0_px": 400.0,
-    "y_min_0_px": 300.0,
-    "y_max_0_px": 400.0,
-    "x_min_1_px": 100.0,
-    "x_max_1_px": 500.0,
-    "y_min_1_px": 250.0,
-    "y_max_1_px": 500.0,
-}
-NONE: dict[str, Any] = {"label": "null", "t0_step": 0, "t1_step": 0, **dict.fromkeys(BOX, 0.0)}
 
 
 def trajectory(label: str, start: int, end: int) -> dict[str, Any]:

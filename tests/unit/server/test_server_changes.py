@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.urban_pairs import BOX, NONE, SCENARIO
 
 from brink.search.pairs import Steps
 from brink.search.parameters import Categorical
@@ -24,28 +25,8 @@ from brink.server.problems.urban_changes import AFTERWARDS
 from brink.server.problems.urban_injected import UrbanInjected
 
 URBAN = UrbanInjected(UrbanInjected.params_type())
-SCENARIO = {
-    "time_of_day": "noon",
-    "weather": "clear",
-    "pedestrians": "0",
-    "road_curve": "straight",
-    "road_id": "0",
-    "road_length": "0",
-    "driving_task": "follow_road",
-}
-BOX = {
-    "x_min_0_px": 300.0,
-    "x_max_0_px": 400.0,
-    "y_min_0_px": 250.0,
-    "y_max_0_px": 400.0,
-    "x_min_1_px": 100.0,
-    "x_max_1_px": 500.0,
-    "y_min_1_px": 250.0,
-    "y_max_1_px": 500.0,
-}
 ABOVE = {"y_min_1_px": 180.0, "y_max_1_px": 240.0}
 """The upper and lower edge of a box above the horizon, at its end."""
-NONE: dict[str, Any] = {"label": "null", "t0_step": 0, "t1_step": 0, **dict.fromkeys(BOX, 0.0)}
 VIOLATED_AT_S = 7.1
 
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.marks import mostly_long
+from support.urban_pairs import SCENARIO
 
 from brink.search.pairs import Steps
 from brink.search.space import Categorical
@@ -33,15 +34,6 @@ from brink.sim.urban.detection_errors import (
 
 URBAN = UrbanErrors(UrbanErrorsParams())
 SHORT = UrbanErrors(UrbanErrorsParams(errors=3, duration_s=8.0))
-SCENARIO = {
-    "time_of_day": "noon",
-    "weather": "clear",
-    "pedestrians": "0",
-    "road_curve": "straight",
-    "road_id": "0",
-    "road_length": "0",
-    "driving_task": "follow_road",
-}
 MISS: dict[str, Any] = {
     "type": "miss",
     "target": "lead",
