@@ -61,7 +61,18 @@ class FmuParams:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        declared_space(self.space)
+        space, renamed = declared_space(self.space)
+        searched = {
+            renamed.get(parameter.name, parameter.name)
+            for component in space.components
+            for parameter in component.parameters
+        }
+        for variable in (*self.start_values, self.seed_variable):
+            if variable in searched:
+                where = "seed_variable" if variable == self.seed_variable else "start_values"
+                raise ConfigError(
+                    where, f"{variable}: expected a variable that the space does not set as well"
+                )
         try:
             Signals.of(self.signals)
         except SignalError as error:

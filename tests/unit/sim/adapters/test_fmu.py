@@ -1,7 +1,6 @@
 """FMUs as plants, built here from C for FMI 2 and 3: what they answer, what is refused, what becomes of faults."""
 
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -54,7 +53,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder of what may run here; what is registered meanwhile is forgotten."""
     from brink.sim import catalogue
 
@@ -84,7 +83,8 @@ def test_known_answer(built: Path, commands: Path, version: int) -> None:
     assert (found.robustness, found.unit, found.violated_at_s) == (-3.0, "m", 0.0)
     spec = spec_of(problem, rate=-4.0, flag="true", mode="fast")
     found = run(problem, spec).verdicts["high"]
-    assert (found.robustness, found.violated_at_s) == (pytest.approx(2 * (-4 * 1.0 - 1.5 + 20 + 1)), None)
+    assert found.robustness == pytest.approx(2 * (-4 * 1.0 - 1.5 + 20 + 1))
+    assert found.violated_at_s is None
     trace = Trace.from_bytes(run(problem, spec, record=True).trace or b"")
     assert trace.signals["seconds"] == pytest.approx(np.arange(11) * 0.1)
     assert trace.signals["twice"] == pytest.approx(2 * (19.5 - 4 * np.arange(11) * 0.1))
@@ -208,6 +208,11 @@ def test_what_does_not_fit_the_fmu_is_refused_before_submission(
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
+        (
+            {"start_values": {"load.offset": 1}},
+            "load.offset: expected a variable that the space does not set",
+        ),
+        ({"seed_variable": "rate"}, "seed_variable: rate: expected a variable that the space does not set"),
         ({"stop_s": 1.05}, "stop_s: expected a stop time that is a multiple of the step"),
         (
             {"space": {"a": {"rate": {}, "r": {"variable": "rate"}}}},
