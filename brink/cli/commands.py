@@ -24,7 +24,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "Run": {
         "run": ("brink.cli.run:run", "Run a campaign: coordinator, workers, results, pictures"),
         "init": ("brink.cli.init:init", "Write a campaign file for a program, or an OpenSCENARIO file"),
-        "try": ("brink.cli.try_:try_", "Run one episode of a command, and show its signals"),
+        "try": ("brink.cli.try_:try_", "Run one episode of a command or FMU, and show its signals"),
         "submit": ("brink.cli.campaigns:submit", "Submit a campaign to a coordinator"),
         "experiment": ("brink.cli.experiment:experiment", "Compare algorithms over problems and seeds"),
     },

@@ -1,12 +1,16 @@
-"""`brink try`: one episode of a campaign that runs a command, to see whether it does what it should."""
+"""`brink try`: one episode of a campaign that runs a command or an FMU, to see whether it does what it should."""
 
+import os
 import shlex
 import shutil
+import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 
 from brink.cli.options import CampaignFile, about_file, console, named_values, plain_table
 from brink.search.errors import SpaceError
@@ -16,10 +20,15 @@ from brink.server.campaigns.body import read_campaign_file
 from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
 from brink.server.problems.command import Command
+from brink.server.problems.fmu import Fmu
 from brink.sim.adapters.command.attempt import Attempt
 from brink.sim.adapters.command.simulator import CommandSimulator
-from brink.sim.episode import EpisodeSpec
+from brink.sim.episode import EpisodeSpec, Verdict
 from brink.sim.errors import SimulatorError
+from brink.sim.programs.installed import COMMANDS_VARIABLE
+from brink.sim.trace import Trace
+from brink.worker.process import EpisodeProcess, episode_result
+from brink.worker.wire import JobFailed
 
 FOLDER: Final = Path("brink-try")
 _SHOWN_LINES: Final = 20
@@ -46,7 +55,7 @@ def try_(
         ),
     ] = FOLDER,
 ) -> None:
-    """Run one episode of a campaign with command@1; show command, folder, signals and verdicts.
+    """Run one episode of a campaign with command@1 or fmu@1; show its signals and verdicts.
 
     Exits with 1 if the episode fails.
 
@@ -55,9 +64,9 @@ def try_(
     body = read_campaign_file(file)
     with about_file(file):
         problem = make_checked_plan(body).problem
-    if not isinstance(problem, Command):
+    if not isinstance(problem, Command | Fmu):
         raise InvalidInput.at(
-            "/problem/id", f"expected {Command.id}, whose command can be tried; got {problem.id}"
+            "/problem/id", f"expected {Command.id} or {Fmu.id}, which can be tried; got {problem.id}"
         )
     given = named_values("--set", values, "scenario.gap=12")
     chosen = _chosen(problem.space, given)
@@ -72,6 +81,10 @@ def try_(
     screen = console()
     shown = ", ".join(f"{name}={value}" for part in chosen.values() for name, value in part.items())
     screen.print(f"values: {shown}; seed {seed}", soft_wrap=True, markup=False)
+    title = f"{body.name}: {shown}"
+    if isinstance(problem, Fmu):
+        _try_fmu(problem, spec, folder, title)
+        return
     screen.print(f"program: {problem.params.program}", soft_wrap=True, markup=False)
     screen.print(f"folder: {folder.absolute()}", soft_wrap=True, markup=False)
     simulator = CommandSimulator(problem.definition, problem.params.program)
@@ -81,7 +94,13 @@ def try_(
     except SimulatorError as error:
         screen.print(f"no verdict: {error}", soft_wrap=True, markup=False, style="red")
         raise typer.Exit(1) from None
-    _show(done, problem, folder, f"{body.name}: {shown}")
+    screen.print(f"command: {shlex.join(done.command)}", soft_wrap=True, markup=False)
+    if printed := done.output.strip():
+        screen.print(
+            "printed: " + "\n".join(printed.splitlines()[-_SHOWN_LINES:]), soft_wrap=True, markup=False
+        )
+    margins = {name: one.margins(done.time_s, done.signals) for name, one in done.requirements.items()}
+    _show(done.time_s, done.signals, margins, done.verdicts, problem, folder, title)
     if again is not None:
         same = all(np.array_equal(one, again.signals[name]) for name, one in done.signals.items())
         what = "the same" if same else "OTHER"
@@ -122,36 +141,61 @@ def _chosen(space: SearchSpace, given: dict[str, Any]) -> dict[str, dict[str, An
     return chosen
 
 
-def _show(done: Attempt, problem: Command, folder: Path, title: str) -> None:
+def _try_fmu(problem: Fmu, spec: EpisodeSpec, folder: Path, title: str) -> None:
+    """Run an episode of an FMU, twice unless it takes a seed, in a process of its own, and show it."""
+    screen = console()
+    screen.print(f"fmu: {problem.params.fmu}", soft_wrap=True, markup=False)
+    with tempfile.TemporaryDirectory(prefix="brink-") as commands:
+        os.environ[COMMANDS_VARIABLE] = commands
+        problem.install()
+        process = EpisodeProcess()
+        try:
+            process.start()
+            outcomes = [
+                process.run(spec.to_json(), record=True, timeout_s=problem.timeout_s)
+                for _ in range(2 if problem.ignores_seeds else 1)
+            ]
+        finally:
+            process.close()
+    results = []
+    for outcome in outcomes:
+        if isinstance(outcome, JobFailed):
+            screen.print(f"no verdict: {outcome.message}", soft_wrap=True, markup=False, style="red")
+            raise typer.Exit(1)
+        results.append(episode_result(outcome))
+    trace = Trace.from_bytes(results[0].trace or b"")
+    _show(trace.time_s, trace.signals, trace.robustness, results[0].verdicts, problem, folder, title)
+    if problem.ignores_seeds:
+        what = "the same" if results[0].trace == results[1].trace else "OTHER"
+        screen.print(f"a second run with these values gave {what} signals", markup=False)
+
+
+def _show(
+    time_s: NDArray[Any],
+    signals: Mapping[str, NDArray[Any]],
+    margins: Mapping[str, NDArray[Any]],
+    verdicts: Mapping[str, Verdict],
+    problem: Command | Fmu,
+    folder: Path,
+    title: str,
+) -> None:
     # matplotlib takes half a second to load.
     from brink.plots.signals import Recorded, figure_signals
     from brink.plots.style import INK
 
     screen = console()
-    screen.print(f"command: {shlex.join(done.command)}", soft_wrap=True, markup=False)
-    if printed := done.output.strip():
-        screen.print(
-            "printed: " + "\n".join(printed.splitlines()[-_SHOWN_LINES:]), soft_wrap=True, markup=False
-        )
-    rows = [(name, f"{one.min():.4g}", f"{one.max():.4g}") for name, one in done.signals.items()]
-    screen.print(f"{len(done.time_s):,} samples from {done.time_s[0]:g} to {done.time_s[-1]:g} s")
+    rows = [(name, f"{one.min():.4g}", f"{one.max():.4g}") for name, one in signals.items()]
+    screen.print(f"{len(time_s):,} samples from {time_s[0]:g} to {time_s[-1]:g} s")
     screen.print(plain_table("signal", "least", "greatest", right=("least", "greatest"), rows=rows))
-    for name, verdict in done.verdicts.items():
+    for name, verdict in verdicts.items():
         when = "" if verdict.violated_at_s is None else f" at {verdict.violated_at_s:.2f} s"
         words = f"violated{when}" if verdict.violated else "held"
         screen.print(
             f"{name}: {words}, robustness {verdict.robustness:.4g} {verdict.unit}".rstrip(), markup=False
         )
-    violated = {
-        name: one.violated_at_s for name, one in done.verdicts.items() if one.violated_at_s is not None
-    }
+    violated = {name: one.violated_at_s for name, one in verdicts.items() if one.violated_at_s is not None}
     side = Recorded(
-        label="",
-        colour=INK,
-        time_s=done.time_s,
-        signals=done.signals,
-        margins={name: one.margins(done.time_s, done.signals) for name, one in done.requirements.items()},
-        violated_at_s=violated,
+        label="", colour=INK, time_s=time_s, signals=signals, margins=margins, violated_at_s=violated
     )
     path = folder.with_name(f"{folder.name}.png")
     figure_signals([side], problem.params.requirements, title, "").savefig(path)

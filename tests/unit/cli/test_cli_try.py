@@ -1,13 +1,17 @@
-"""`brink try`: one episode of a command."""
+"""`brink try`: one episode of a command, or of an FMU."""
 
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+import yaml
+from support import fmus
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
 from brink.server.errors import InvalidInput
+from brink.sim.programs.installed import COMMANDS_VARIABLE
 
 FILE = Path(__file__).parents[3] / "examples" / "command" / "cut-in.yaml"
 
@@ -61,3 +65,30 @@ def test_wrong_arguments_are_refused(in_folder: Path, arguments: tuple[str, ...]
     (in_folder / "mine.txt").touch()
     assert words in tried(str(FILE), *arguments)[1]
     assert (in_folder / "mine.txt").exists()
+
+
+@pytest.mark.long("starts simulation processes")
+@pytest.mark.skipif(find_spec("fmpy") is None or not fmus.can_build(), reason="no FMPy, or no C compiler")
+def test_an_fmu_is_tried_in_a_process_of_its_own(in_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(COMMANDS_VARIABLE, "")
+    fmus.build(in_folder, 3)
+    params = {
+        "fmu": "model3.fmu",
+        "space": {"scenario": {"rate": {}, "fault": {}}},
+        "requirements": {"high": {"signal": "y", "above": -1.5, "unit": "m"}},
+    }
+    campaign = {
+        "name": "fmu",
+        "problem": {"id": "fmu@1", "params": params},
+        "algorithm": {"id": "random@1"},
+        "budget": {"simulations": 8},
+    }
+    (in_folder / "fmu.yaml").write_text(yaml.safe_dump(campaign))
+    status, text = tried("fmu.yaml", "--set", "rate=-2", "--set", "fault=0")
+    assert status == 0
+    assert "11 samples from 0 to 1 s" in text
+    assert "high: violated at 0.80 s, robustness -0.5 m" in text
+    assert "gave the same signals" in text
+    assert (in_folder / "brink-try.png").stat().st_size > 10_000
+    status, text = tried("fmu.yaml", "--set", "fault=2")
+    assert (status, "SIGABRT" in text) == (1, True)
