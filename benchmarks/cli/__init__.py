@@ -10,7 +10,7 @@ from benchmarks.cli.monitors import guard, monitor_accuracy
 from benchmarks.cli.perception import detector, perturbations, rendering, simood
 from benchmarks.cli.searches import finders, mumoea, search
 from benchmarks.cli.service import archive, chaos, dashboard, queue, scale, soak, stalls, turns, utilisation
-from benchmarks.cli.statistics import coverage
+from benchmarks.cli.statistics import coverage, rate
 from benchmarks.cli.urban import command, control, difficulty, drivers, driving, sim
 from brink.cli.commands import HelpfulGroup
 
@@ -41,6 +41,7 @@ for _command in (
     monitor_accuracy,
     guard,
     coverage,
+    rate,
     queue,
     scale,
     utilisation,

@@ -1,5 +1,6 @@
-"""`python -m benchmarks coverage`: how often intervals and tests are right when the truth is known."""
+"""`python -m benchmarks coverage` and `rate`: how often intervals and tests are right when the truth is known."""
 
+from dataclasses import asdict
 from typing import Annotated
 
 import typer
@@ -64,3 +65,43 @@ def coverage(
         for one in found
     ]
     conclude(document, table, as_json=as_json, missed=any(one.met is False for one in found))
+
+
+def rate(
+    repetitions: Annotated[int, typer.Option(min=2, help="Searches on each function.")] = 400,
+    simulations: Annotated[
+        int, typer.Option(min=100, help="Simulations of a search where the rate is 0.1.")
+    ] = 1_000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first search.")] = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Measure whether the intervals of rate@1 hold on functions of known rates, and what they save.
+
+    Beside plain Monte Carlo with as many simulations: a width below 1 is a narrower interval, a variance above 1 a
+    smaller one.
+
+    Example: python -m benchmarks rate --repetitions 40
+    """
+    from benchmarks.rate import measure
+
+    with show_progress() as progress:
+        found = list(measure(repetitions, simulations, seed, progress))
+    table = value_table(
+        ("function", "rate", "at every look", "fixed number", "bias", "variance", "width", "fixed width", ""),
+        (
+            (
+                one.shape,
+                f"{one.rate:g}",
+                f"{one.sequence:.1%}",
+                f"{one.fixed:.1%}",
+                f"{one.bias:+.1f} se",
+                f"{one.variance:.2f}",
+                f"{one.width:.2f}",
+                f"{one.fixed_width:.2f}",
+                met_text(one.met),
+            )
+            for one in found
+        ),
+    )
+    document = [{**asdict(one), "met": one.met} for one in found]
+    conclude(document, table, as_json=as_json, missed=any(not one.met for one in found))

@@ -34,6 +34,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "results": ("brink.cli.campaigns:results", "Show or export distinct boundary solutions"),
         "thresholds": ("brink.cli.thresholds:thresholds", "Show where exactly drives turn unsafe"),
         "pairs": ("brink.cli.pairs:pairs", "Show or export safe and unsafe drives side by side"),
+        "rate": ("brink.cli.rate:rate", "Show how often drives are unsafe in operation"),
         "tolerance": ("brink.cli.tolerance:tolerance", "Show how severe a component's errors may be"),
         "violations": ("brink.cli.violations:violations", "Show the types of violations found"),
         "combinations": ("brink.cli.findings:combinations", "Show hazardous chains of perturbations"),

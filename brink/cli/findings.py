@@ -27,6 +27,7 @@ from brink.cli.options import (
     program,
     with_api,
 )
+from brink.report.rate import draw_rate
 from brink.report.tables import finding_markdown
 from brink.report.thresholds import draw_thresholds
 from brink.server.errors import InvalidInput
@@ -35,7 +36,10 @@ from brink.server.findings.table import FORMATS, Table
 from brink.server.findings.words import full_sentence
 
 CHAINS_SHOWN: Final = 10
-DRAWN: Final[Mapping[str, Callable[[Finding, Path], None]]] = {"thresholds": draw_thresholds}
+DRAWN: Final[Mapping[str, Callable[[Finding, Path], None]]] = {
+    "rate": draw_rate,
+    "thresholds": draw_thresholds,
+}
 """What draws findings of a kind to a file; other pictures have commands of their own."""
 
 

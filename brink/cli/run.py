@@ -37,13 +37,15 @@ from brink.cli.options import (
 from brink.cli.repeats import repeat_finished, write_repeats
 from brink.cli.results_folder import results_folder, write_report
 from brink.report.figures import Drawing, draw_figures, write_replays
+from brink.search.sequential import exact_interval
 from brink.server.api.outcomes import OutcomesView
 from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
 from brink.server.campaigns.plan import check_submission
 from brink.server.findings.boundary.repeat_views import RepeatsView
 from brink.server.findings.finding import Findings
-from brink.server.problems.catalogue import check_extra
+from brink.server.findings.words import percent
+from brink.server.problems.catalogue import check_extra, is_baseline
 from brink.server.states import CampaignStatus
 
 TRACE_TIMEOUT_S = 30.0
@@ -233,12 +235,15 @@ def _print_summary(
     session: CommandSession, body: CampaignBody, progress: Progress, report: Report, folder: Path
 ) -> None:
     screen, place = session.screen, database_option(session.settings)
-    share = progress.unsafe / progress.evaluated if progress.evaluated else 0.0
+    share = f"{progress.unsafe / progress.evaluated:.0%}" if progress.evaluated else "0%"
+    if is_baseline(body.algorithm.id) and body.start_from is None:
+        low, high = exact_interval(progress.unsafe, progress.evaluated, 0.95)
+        share = f"{share} [{percent(low, outward=-1)}, {percent(high, outward=1)}]"
     extra = progress.simulations - body.budget.simulations
     beyond = f" ({extra} extra to complete the last generation)" if extra > 0 else ""
     screen.print()
     words = (
-        f": {progress.simulations} simulations{beyond} in {progress.elapsed_s:.0f} s, {share:.0%} unsafe, "
+        f": {progress.simulations} simulations{beyond} in {progress.elapsed_s:.0f} s, {share} unsafe, "
         f"{failures_of(progress)} failed"
     )
     screen.print(Text.assemble((body.name, "bold"), words))

@@ -47,6 +47,7 @@ from brink.server.findings.finding import Finding, Findings, Role
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.pairs.table import pair_columns, pair_rows
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView
+from brink.server.findings.rate.views import RateView
 from brink.server.findings.table import Table
 from brink.server.findings.thresholds.kind import KIND as THRESHOLDS
 from brink.server.findings.thresholds.kind import columns as threshold_columns
@@ -363,6 +364,27 @@ class AsyncResult(CampaignResult):
         """
         return await self.findings("combinations")
 
+    async def rate(
+        self, *, at_most: float | None = None, confidence: float | None = None, by: str | None = None
+    ) -> RateView:
+        """Return how often solutions are unsafe in operation, for campaigns of `rate@1` and `random@1`.
+
+        Args:
+            at_most: Claim to check: the largest acceptable rate; by default the campaign's.
+            confidence: Confidence of intervals and claim; by default the campaign's, or 0.95.
+            by: Categories to tell apart, such as ``scenario.weather``, separated by commas; ``+`` crosses them.
+
+        Raises:
+            CoordinatorError: The campaign does not draw from operation.
+            InvalidInput: Nothing was simulated yet.
+        """
+        settings = _given(at_most=at_most, confidence=confidence, by=by)
+        async with self._connection.open() as api:
+            finding = await api.read(Finding, f"/campaigns/{self.id}/findings/rate", settings)
+        if finding.view is None:
+            raise InvalidInput.at("rate", finding.sentence)
+        return RateView.model_validate(finding.view)
+
     async def tolerances(self) -> "pd.DataFrame":
         """Return how severe each error may be as a data frame.
 
@@ -534,7 +556,7 @@ def _check_runnable(progress: Progress) -> None:
         )
 
 
-def _given(**settings: float | None) -> dict[str, float]:
+def _given(**settings: float | str | None) -> dict[str, float | str]:
     return {name: value for name, value in settings.items() if value is not None}
 
 

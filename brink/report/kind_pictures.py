@@ -18,6 +18,7 @@ from brink.report.combinations import draw_chains
 from brink.report.comparison import compared_archives
 from brink.report.figures import Drawing, campaign_figure, write_replays
 from brink.report.pair_pictures import write_pair
+from brink.report.rate import draw_rate
 from brink.report.thresholds import draw_thresholds
 from brink.report.violations import draw_gallery
 from brink.search.analysis.comparison import control_summaries
@@ -188,6 +189,20 @@ class _Tolerances(KindPictures):
         return replace(section, pictures=album("tolerance.png", words))
 
 
+class _Rate(KindPictures):
+    """The interval of the rate against simulations."""
+
+    async def draw(self, drawing: Drawing) -> Sequence[Path]:
+        if self._finding.view is None:
+            return []
+        file = drawing.folder / "rate.png"
+        await asyncio.to_thread(draw_rate, self._finding, file)
+        return [file]
+
+    def illustrate(self, section: Section, album: Album) -> Section:
+        return replace(section, pictures=album("rate.png", "The interval of the rate as simulations came in"))
+
+
 class _Thresholds(KindPictures):
     """How likely a violation is along the unit of each threshold."""
 
@@ -292,6 +307,7 @@ class _Boundary(KindPictures):
 
 PICTURES: Final[Mapping[str, type[KindPictures]]] = {
     "pairs": _Pairs,
+    "rate": _Rate,
     "thresholds": _Thresholds,
     "tolerances": _Tolerances,
     "violations": _Violations,

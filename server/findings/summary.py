@@ -218,8 +218,8 @@ def _ignored_distribution(plan: Plan) -> str:
     if plan.problem.space.distribution is None or getattr(plan.algorithm, "honours_distribution", False):
         return ""
     return (
-        f"{plan.body.algorithm.id} ignored the operational distribution: the share of its unsafe solutions says "
-        "nothing about how often they occur"
+        f"the search ({plan.body.algorithm.id}) ignored the operational distribution: the share of its unsafe "
+        "solutions says nothing about how often they occur"
     )
 
 

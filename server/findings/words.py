@@ -1,5 +1,7 @@
 """Words that the sentences of several kinds of findings share."""
 
+import math
+
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.problems.changes import as_sentence
 
@@ -34,3 +36,24 @@ def listed_words(listed: int, distinct: int, what: str = "distinct boundary solu
     if listed < distinct:
         return f"the best {listed:,} of {distinct:,} {what}s"
     return f"{listed:,} {what}" if listed == 1 else f"{listed:,} {what}s"
+
+
+def percent(share: float, *, outward: int = 0) -> str:
+    """Return a share in per cent with two significant digits.
+
+    Args:
+        share: The share, in [0, 1].
+        outward: 1 to round up, -1 to round down, so that an interval is never narrower than it is.
+    """
+    return f"{rounded(100.0 * share, outward=outward)}%"
+
+
+def rounded(number: float, *, outward: int = 0) -> str:
+    """Return a number >= 0 with two significant digits; see `percent`."""
+    if number <= 0:
+        return "0"
+    step = 10.0 ** (math.floor(math.log10(number)) - 1)
+    steps = number / step - outward * 1e-9
+    whole = round(steps) if not outward else math.ceil(steps) if outward > 0 else math.floor(steps)
+    value = whole * step
+    return f"{value:.2g}" if value < 99.5 else f"{value:,.0f}"

@@ -20,6 +20,7 @@ from brink.server.campaigns.plan import Plan, restored_archive
 from brink.server.db.engine import Engines
 from brink.server.errors import InvalidInput
 from brink.server.findings.rate.views import ClaimView, IntervalView, LookView, RateView, StratumView
+from brink.server.findings.words import percent, rounded
 
 DISTANCE: Final = "way_m"
 """Feature of a drive: the distance driven."""
@@ -155,27 +156,6 @@ def default_strata(space: SearchSpace, declared: Sequence[str]) -> str:
         if isinstance(parameter, Categorical) and name in declared and len(parameter.codes) <= 8
     ]
     return ",".join(categories[:6])
-
-
-def percent(share: float, *, outward: int = 0) -> str:
-    """Return a share in per cent with two significant digits.
-
-    Args:
-        share: The share, in [0, 1].
-        outward: 1 to round up, -1 to round down, so that an interval is never narrower than it is.
-    """
-    return f"{rounded(100.0 * share, outward=outward)}%"
-
-
-def rounded(number: float, *, outward: int = 0) -> str:
-    """Return a number >= 0 with two significant digits; see `percent`."""
-    if number <= 0:
-        return "0"
-    step = 10.0 ** (math.floor(math.log10(number)) - 1)
-    steps = number / step - outward * 1e-9
-    whole = round(steps) if not outward else math.ceil(steps) if outward > 0 else math.floor(steps)
-    value = whole * step
-    return f"{value:.2g}" if value < 99.5 else f"{value:,.0f}"
 
 
 def interval_words(view: IntervalView) -> str:

@@ -8,9 +8,10 @@ from brink.search.algorithm import EstimatesRate
 from brink.search.algorithms.rate import RateConfig
 from brink.server.findings.finding import Finding, Step, Term
 from brink.server.findings.kind import Kind, Listed, Settings, Subject
-from brink.server.findings.rate.analysis import default_strata, find_rate, interval_words, percent, rounded
+from brink.server.findings.rate.analysis import default_strata, find_rate, interval_words
 from brink.server.findings.rate.views import RateView
 from brink.server.findings.table import Column, Format, Table
+from brink.server.findings.words import percent, rounded
 from brink.server.states import OutcomeKind
 
 CONFIDENCE: Final = 0.95

@@ -1,93 +1,135 @@
-"""Rates count simulations alone, and nobody is told a time left that waiting makes nonsense of."""
+"""A rate all the way: a stated distribution, a claim that ends the search, exposure, strata, terminal and picture."""
 
-from collections.abc import Iterable
-from datetime import UTC, datetime, timedelta
+import json
+from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import create_engine, select, update
-from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, progress, submit
+from support.api import FakeWorker, ball, expect, submit
+from support.problems import Ball, simulated
 
-from brink.server.campaigns.view_store import first_after_break
-from brink.server.db.models import CampaignRow, JobRow
+from brink.server.campaigns.body import read_campaign_file
+from brink.server.errors import InvalidInput
+from brink.server.findings.words import percent, rounded
+from brink.server.problems.base import SimulatedProblem
+from brink.server.problems.catalogue import PROBLEMS
+from brink.sim import catalogue
+from brink.worker.wire import Completed, LeasedJob
 
-
-def test_results_from_the_cache_are_counted_apart(client: httpx.Client) -> None:
-    first = progress(client, finish(client, ball()))
-    assert first["cached"] == 0
-    assert first["rate_per_s"] > 0
-    again = submit(client, ball(name="again"))
-    eventually(lambda: progress(client, again)["status"] == "finished", "the cache answers")
-    found = progress(client, again)
-    assert found["cached"] == found["simulations"] == first["simulations"]
-    assert found["rate_per_s"] is None, "nothing was simulated"
+API = "/api/v1/campaigns"
+DISTRIBUTION = {"where.x": {"normal": {"mean": 0, "deviation": 0.5}}}
 
 
-def test_a_paused_campaign_has_no_time_left(client: httpx.Client) -> None:
-    campaign, worker = submit(client, ball()), FakeWorker(client)
-    worker.report(worker.lease(max_jobs=8))
-    assert progress(client, campaign)["remaining_s"] > 0
-    expect(client.post(f"/api/v1/campaigns/{campaign}/pause"))
-    assert progress(client, campaign)["remaining_s"] is None
+class Driven(Ball):
+    """The ball, with drives that record distance and time."""
+
+    id = "driven@1"
+    requirements = ("distance@1",)
+    evaluation = SimulatedProblem.evaluation
 
 
-@pytest.mark.parametrize("unit", ["campaign", "experiment"])
-def test_waiting_for_a_worker_has_no_time_left(database_url: str, small_problems: None, unit: str) -> None:
-    with coordinator(database_url, worker_seen_s=0.2) as client:
-        if unit == "campaign":
-            path = f"/api/v1/campaigns/{submit(client, ball())}/progress"
-        else:
-            body = {
-                "name": "e",
-                "problems": [{"name": "ball", "id": "ball@1"}],
-                "algorithms": [{"name": "GA", **ball()["algorithm"]}],
-                "seeds": [1],
-                "budget": {"simulations": 60},
-            }
-            path = f"/api/v1/experiments/{expect(client.post('/api/v1/experiments', json=body), 201)['id']}/progress"
-        worker = FakeWorker(client)
-        worker.report(worker.lease(max_jobs=8))
-        eventually(lambda: expect(client.get(path))["workers"] == 0, "the worker counts as gone")
-        found = expect(client.get(path))
-        assert (found["leased"], found["remaining_s"]) == (0, None)
-        assert found["queued"] > 0
+def driven(job: LeasedJob) -> Completed:
+    return simulated(job.spec).model_copy(update={"features": {"way_m": 250.0, "ended_at_s": 36.0}})
 
 
-@pytest.mark.parametrize(("since_s", "rate"), [([], None), ([60.0], None), ([60.0, 40.0, 20.0, 0.0], 0.05)])
-def test_a_break_is_no_part_of_the_rate(
-    client: httpx.Client, database_url: str, since_s: list[float], rate: float | None
+@pytest.fixture
+def problem(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    monkeypatch.setitem(catalogue._registered[PROBLEMS], Driven.id, Driven)
+    return {"id": Driven.id, "params": {"distribution": DISTRIBUTION}}
+
+
+@pytest.mark.parametrize("algorithm", ["rate@1", "random@1"])
+def test_a_rate_has_intervals_exposure_and_its_distribution(
+    client: httpx.Client, problem: dict[str, Any], algorithm: str
 ) -> None:
-    campaign, worker = submit(client, ball()), FakeWorker(client)
-    worker.report(worker.lease(max_jobs=4 + len(since_s)))
-    a_day_s = 24 * 3600.0
-    ago_s = [a_day_s + 60.0, a_day_s + 40.0, a_day_s + 20.0, a_day_s, *since_s]
-    engine, now = create_engine(database_url), datetime.now(UTC)
-    with engine.begin() as connection:
-        jobs = connection.execute(
-            select(JobRow.id).where(JobRow.finished_at.is_not(None)).order_by(JobRow.id)
-        )
-        for job, ago in zip(jobs.scalars().all(), ago_s, strict=True):
-            ended = now - timedelta(seconds=ago)
-            connection.execute(update(JobRow).where(JobRow.id == job).values(finished_at=ended))
-        connection.execute(update(CampaignRow).values(created_at=now - timedelta(seconds=2 * a_day_s)))
-    engine.dispose()
-    found = progress(client, campaign)
-    assert found["simulations"] == len(ago_s)
-    assert found["rate_per_s"] == (None if rate is None else pytest.approx(rate, rel=0.3))
+    params = {"generation_size": 20, "in_flight": 2}
+    campaign = submit(
+        client, ball(simulations=100, problem=problem, algorithm={"id": algorithm, "params": params})
+    )
+    stands = FakeWorker(client, judge=driven).work(campaign)
+    assert (stands["status"], stands["evaluated"]) == ("finished", 100)
+    path = f"{API}/{campaign}/findings/rate"
+    found = expect(client.get(path))
+    view = found["view"]
+    assert view["simulations"] == 100
+    assert 0 <= view["rate"]["low"] <= view["fixed"]["low"] <= view["rate"]["value"]
+    assert view["rate"]["value"] <= view["fixed"]["high"] <= view["rate"]["high"] <= 1
+    # Every drive is 250 m and 36 s long: 4,000 drives for 1,000 km, and 100 an hour.
+    assert view["per_hour"]["value"] / view["per_1000_km"]["value"] == pytest.approx(100 / 4000)
+    if algorithm == "random@1":
+        assert view["per_1000_km"]["value"] == pytest.approx(4000 * view["rate"]["value"])
+    assert "normal with mean 0" in " ".join(found["caveats"])
+    assert "simulat" in found["sentence"]
+    assert expect(client.get(path, params={"at_most": 0.999}))["view"]["claim"]["decision"] == "shown"
+    assert client.get(path, params={"at_most": 2}).status_code == 422
+    assert client.get(path, params={"by": "where.x"}).status_code == 422
+    table = client.get(path, params={"format": "csv", "table": "looks"}).text.splitlines()
+    assert table[0] == "simulations,rate,low,high"
+    assert table[-1].startswith("100,")
 
 
-def test_a_break_is_by_far_the_longest_time_without_results() -> None:
-    begin = datetime(2026, 1, 1, tzinfo=UTC)
+def test_a_claim_ends_the_search_and_a_search_for_the_boundary_says_that_it_ignored_the_distribution(
+    client: httpx.Client, problem: dict[str, Any]
+) -> None:
+    algorithm = {"id": "rate@1", "params": {"claim": {"at_most": 0.9}, "generation_size": 10, "in_flight": 2}}
+    campaign = submit(client, ball(simulations=2000, problem=problem, algorithm=algorithm))
+    stands = FakeWorker(client, judge=driven).work(campaign)
+    assert stands["status"] == "finished"
+    assert stands["evaluated"] < 200
+    assert expect(client.get(f"{API}/{campaign}/findings/rate"))["view"]["claim"]["decision"] == "shown"
 
-    def place(seconds: Iterable[float], end_s: float) -> int | None:
-        times = [begin + timedelta(seconds=second) for second in seconds]
-        return first_after_break(times, begin + timedelta(seconds=end_s))
+    other = submit(
+        client,
+        ball(simulations=30, problem=problem, algorithm={"id": "ga@1", "params": {"population_size": 10}}),
+    )
+    FakeWorker(client, judge=driven).work(other)
+    said = " ".join(expect(client.get(f"{API}/{other}/findings"))["more"]).lower()
+    assert "the search (ga@1) ignored the operational distribution" in said
 
-    night_s = 36_000.0
-    assert place([*range(50), *(night_s + second for second in range(1_000))], night_s + 1_001) == 50
-    assert place(range(50), night_s) == 50, "nothing has come since"
-    assert place(range(50), 60.0) is None
-    bursts = [400.0 * burst + 0.1 * job for burst in range(4) for job in range(32)]
-    assert place(bursts, 1_500.0) is None, "long episodes that end together"
-    assert place([0.0, 1_000.0, 2_000.0], 2_100.0) is None, "long episodes"
-    assert place([], night_s) is None
+
+def test_wrong_input_is_refused_by_field(client: httpx.Client, problem: dict[str, Any]) -> None:
+    for params, pointer in (
+        ({"distribution": {"where.q": "uniform"}}, "/problem/params/distribution/where.q"),
+        ({"distribution": []}, ""),
+        ({"distribution": [1]}, "/problem/params/distribution"),
+    ):
+        answer = client.post(API, json=ball(problem={"id": Driven.id, "params": params}))
+        if pointer:
+            assert answer.status_code == 422, answer.text
+            assert pointer in answer.text
+    algorithm = {"id": "rate@1", "params": {"claim": {"at_most": 3}}}
+    answer = client.post(API, json=ball(problem=problem, algorithm=algorithm))
+    assert answer.status_code == 422
+    assert "/algorithm/params/claim" in answer.text
+
+
+def test_a_campaign_file_names_a_table_of_observations(tmp_path: Path) -> None:
+    (tmp_path / "drives.csv").write_text("scenario.x, scenario.y\n0.5,1\n\n-1,0.25\n")
+    content: dict[str, Any] = {
+        "name": "rows",
+        "problem": {"id": "ball@1", "params": {"distribution": {"from": "drives.csv"}}},
+        "algorithm": {"id": "rate@1"},
+        "budget": {"simulations": 10},
+    }
+    file = tmp_path / "campaign.yaml"
+    file.write_text(json.dumps(content))
+    assert read_campaign_file(file).problem.params["distribution"] == {
+        "rows": {"columns": ["scenario.x", "scenario.y"], "values": [[0.5, 1.0], [-1.0, 0.25]]}
+    }
+    for name in ("nothing.csv", 3):
+        content["problem"]["params"]["distribution"]["from"] = name
+        file.write_text(json.dumps(content))
+        with pytest.raises(InvalidInput) as caught:
+            read_campaign_file(file)
+        assert caught.value.errors[0].pointer == "/problem/params/distribution/from"
+
+
+def test_intervals_are_rounded_outward() -> None:
+    assert (percent(0.01234, outward=-1), percent(0.01234), percent(0.01234, outward=1)) == (
+        "1.2%",
+        "1.2%",
+        "1.3%",
+    )
+    assert (percent(0.0), percent(1.0, outward=1), percent(0.000123, outward=1)) == ("0%", "100%", "0.013%")
+    assert (rounded(1234), rounded(1234, outward=1)) == ("1,200", "1,300")
