@@ -3,7 +3,7 @@
 from typing import Final
 
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
+from matplotlib.ticker import NullLocator, PercentFormatter, StrMethodFormatter
 
 from brink.plots.style import (
     INK,
@@ -20,6 +20,7 @@ from brink.plots.style import (
 from brink.server.findings.rate.views import RateView
 
 _HEIGHT_PX: Final = 620
+_TICKS: Final = 8
 
 
 def figure_rate(view: RateView, sentence: str) -> Figure:
@@ -62,6 +63,9 @@ def figure_rate(view: RateView, sentence: str) -> Figure:
         )
     axes.set_xscale("log")
     axes.set_xlim(simulations[0], simulations[-1])
+    axes.set_xticks(simulations[:: -(-len(simulations) // _TICKS)], minor=False)
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    axes.xaxis.set_minor_locator(NullLocator())
     axes.set_ylim(0.0, min(1.0, 3.0 * max(tops)))
     axes.yaxis.set_major_formatter(PercentFormatter(xmax=1))
     axes.set_xlabel("simulations", fontsize=SMALL_PT, color=MUTED)
