@@ -10,6 +10,7 @@ from rich.console import Console
 from brink.api.client import Api, CoordinatorError
 from brink.api.follow_ups import OPEN, continue_follow_up, follow_up_options, follow_up_requests
 from brink.api.live import FollowUpsDisplay, Steps
+from brink.cli.follow_ups import THRESHOLDS_AGAIN
 from brink.cli.local import CommandSession, run_locally, stopping
 from brink.cli.options import settings_with, with_api
 from brink.server.api.experiment_pairs import ExperimentPairs, PairRepeatView
@@ -247,8 +248,5 @@ THRESHOLDS: Final = FoundKind(
     computing="estimating thresholds",
     settings=lambda found: {},
     is_known=_knows_thresholds,
-    simulates={
-        FollowUpKind.CONFIRM: "both ends of each threshold with other seeds",
-        FollowUpKind.COMPONENT: "the unsafe end of each threshold with ground truth",
-    },
+    simulates=THRESHOLDS_AGAIN,
 )

@@ -1,14 +1,85 @@
 """Follow-ups that a command simulates by itself: those that it was asked for, and those of every run."""
 
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
 
-from brink.api.client import CoordinatorError
-from brink.api.follow_ups import OPEN
-from brink.cli.local import CommandSession, check_extra_of, stopping
+from rich.console import Console
+
+from brink.api.client import Api, CoordinatorError
+from brink.api.follow_ups import OPEN, follow_up_options
+from brink.cli.local import CommandSession, check_extra_of, run_locally, stopping
+from brink.cli.options import settings_with, with_api
 from brink.server.campaigns.follow_ups.question import question_of
 from brink.server.findings.finding import Findings
 from brink.server.findings.follow_ups import FollowUpView
-from brink.server.states import CampaignStatus
+from brink.server.states import CampaignStatus, FollowUpKind
+
+Ask = Callable[[Api, dict[str, Any]], Awaitable[FollowUpView | None]]
+THRESHOLDS_AGAIN: Mapping[FollowUpKind, str] = {
+    FollowUpKind.CONFIRM: "both ends of each threshold with other seeds",
+    FollowUpKind.COMPONENT: "the unsafe end of each threshold with ground truth",
+}
+"""What follow-ups of thresholds simulate, in a few words."""
+
+
+def follow_up(
+    command: str,
+    campaign: str,
+    requests: Sequence[dict[str, Any]],
+    ask: Ask,
+    screen: Console,
+    *,
+    workers: int,
+    server: str | None,
+    database: str | None,
+    simulates: Mapping[FollowUpKind, str] | None = None,
+) -> bool:
+    """Start follow-ups of a campaign and, without a server, run them to their end.
+
+    Args:
+        command: The command that is asked, such as ``pairs``.
+        campaign: Id of the campaign.
+        requests: What is asked for; if nothing, nothing happens.
+        ask: Starts a follow-up, or returns an identical one; None if there is nothing to do.
+        screen: Console for progress and hints.
+        workers: Number of worker processes.
+        server: URL of a coordinator; None runs one here.
+        database: URL of the database.
+        simulates: What each kind simulates, in a few words, if not sides of pairs.
+
+    Returns:
+        Whether none was stopped.
+    """
+    words = {kind: question_of(kind).simulates for kind in FollowUpKind} | dict(simulates or {})
+    if not requests:
+        return True
+    if server is None:
+        return run_locally(
+            settings_with(database=database, port=0),
+            screen,
+            lambda session: run_follow_ups(
+                session,
+                campaign,
+                [partial(ask, session.api, request) for request in requests],
+                workers,
+                f"{command} {campaign} {follow_up_options(requests)}",
+                words,
+            ),
+        )
+
+    async def start(api: Api) -> None:
+        for request in requests:
+            view = await ask(api, request)
+            if view is not None and view.status in OPEN:
+                screen.print(
+                    f"campaign {view.campaign} simulates them ({words[view.kind]}); the same command shows what is "
+                    "known so far",
+                    soft_wrap=True,
+                )
+
+    with_api(server, database, start)
+    return True
 
 
 async def run_follow_ups(
@@ -17,6 +88,7 @@ async def run_follow_ups(
     asks: Sequence[Callable[[], Awaitable[FollowUpView | None]]],
     workers: int,
     command: str,
+    simulates: Mapping[FollowUpKind, str],
 ) -> bool:
     """Run follow-ups to their end, one after the other; return False if they were stopped or did not finish.
 
@@ -26,6 +98,7 @@ async def run_follow_ups(
         asks: Each starts a follow-up, or returns an identical one; None if there is nothing to do.
         workers: Number of worker processes.
         command: The command that continues, without the program's name.
+        simulates: What each kind simulates, in a few words.
     """
     await check_extra_of(session.api, campaign)
     complete = True
@@ -38,7 +111,7 @@ async def run_follow_ups(
             if not started:
                 session.processes.start(workers)
                 started = True
-            session.screen.print(f"simulating {question_of(view.kind).simulates}", soft_wrap=True)
+            session.screen.print(f"simulating {simulates[view.kind]}", soft_wrap=True)
             progress = await session.finish_follow_up(view)
             complete = complete and progress.status is CampaignStatus.FINISHED
             if session.stop.is_set():

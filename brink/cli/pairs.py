@@ -1,8 +1,6 @@
 """`brink pairs`: pairs of drives across the boundary, one safe and one unsafe, and the change between them."""
 
-from collections.abc import Sequence
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,12 +8,11 @@ import typer
 from rich.console import Console
 
 from brink.api.client import Api
-from brink.api.follow_ups import OPEN, follow_up_options, follow_up_requests
+from brink.api.follow_ups import follow_up_requests
 from brink.api.terminal import echo
 from brink.cli.changed_pairs import ChangedPairs
 from brink.cli.findings import show_kind
-from brink.cli.follow_ups import run_follow_ups
-from brink.cli.local import run_locally
+from brink.cli.follow_ups import follow_up
 from brink.cli.options import (
     RESULTS,
     AsJson,
@@ -30,13 +27,12 @@ from brink.cli.options import (
     named_values,
     print_json,
     program,
-    settings_with,
     with_api,
 )
 from brink.cli.pair_pictures import PICTURES, chosen_pair, draw_pair
 from brink.cli.results_folder import update_pairs
 from brink.report.pair_pictures import FILMS
-from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, question_of
+from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED
 from brink.server.errors import InvalidInput
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.pairs.views import MOST_PAIRS, Minimality, PairsView
@@ -220,7 +216,16 @@ def pairs(
     if asked:
         if limit is not None and limit > MOST_PAIRS_FOLLOWED:
             screen.print(f"only the first {MOST_PAIRS_FOLLOWED} pairs are simulated again")
-        complete = _follow_up(campaign, asked, workers, server, database, screen)
+        complete = follow_up(
+            "pairs",
+            campaign,
+            asked,
+            lambda api, request: _ask(api, campaign, request, screen),
+            screen,
+            workers=workers,
+            server=server,
+            database=database,
+        )
 
     async def work(api: Api) -> None:
         params: dict[str, Any] = dict(given)
@@ -272,42 +277,6 @@ async def _show_thresholds(api: Api, campaign: str) -> None:
             console().print()
             await show_kind(api, one.campaign, "thresholds", {"rows": PAIRS_SHOWN}, more=command)
             console().print(f"campaign {one.campaign}: {command} --picture thresholds.png", soft_wrap=True)
-
-
-def _follow_up(
-    campaign: str,
-    requests: Sequence[dict[str, Any]],
-    workers: int,
-    server: str | None,
-    database: str | None,
-    screen: Console,
-) -> bool:
-    """Start follow-ups and, without a server, run them to their end; return False if one was stopped."""
-    if server is None:
-        return run_locally(
-            settings_with(database=database, port=0),
-            screen,
-            lambda session: run_follow_ups(
-                session,
-                campaign,
-                [partial(_ask, session.api, campaign, request, session.screen) for request in requests],
-                workers,
-                f"pairs {campaign} {follow_up_options(requests)}",
-            ),
-        )
-
-    async def ask(api: Api) -> None:
-        for request in requests:
-            found = await _ask(api, campaign, request, screen)
-            if found is not None and found.status in OPEN:
-                screen.print(
-                    f"campaign {found.campaign} simulates them ({question_of(found.kind).simulates}); the same "
-                    "command shows what is known so far",
-                    soft_wrap=True,
-                )
-
-    with_api(server, database, ask)
-    return True
 
 
 async def _ask(api: Api, campaign: str, request: dict[str, Any], screen: Console) -> FollowUpView | None:

@@ -1,17 +1,15 @@
 """`brink thresholds`: where exactly drives turn from safe to unsafe, and further simulations of both ends."""
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from brink.api.client import Api
-from brink.api.follow_ups import OPEN, follow_up_options, follow_up_requests
+from brink.api.follow_ups import follow_up_requests
 from brink.api.terminal import echo
 from brink.cli.findings import show_kind
-from brink.cli.follow_ups import run_follow_ups
-from brink.cli.local import run_locally
+from brink.cli.follow_ups import THRESHOLDS_AGAIN, follow_up
 from brink.cli.options import (
     AsJson,
     CampaignId,
@@ -23,11 +21,10 @@ from brink.cli.options import (
     check_picture,
     console,
     print_json,
-    settings_with,
     with_api,
 )
 from brink.report.thresholds import draw_thresholds
-from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, question_of
+from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED
 from brink.server.findings.finding import Finding
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.thresholds.views import ThresholdsView
@@ -40,8 +37,15 @@ def thresholds(
     confirm: ConfirmPairs = None,
     component: WithGroundTruth = False,
     limit: Annotated[
-        int, typer.Option(min=1, max=MOST_PAIRS_FOLLOWED, help="Maximum number of thresholds.")
-    ] = SHOWN,
+        int | None,
+        typer.Option(
+            min=1,
+            max=MOST_PAIRS_FOLLOWED,
+            show_default=False,
+            help=f"Maximum number of thresholds to show, to draw and to simulate again (default: {SHOWN}; all with "
+            "--json and --picture).",
+        ),
+    ] = None,
     picture: Annotated[
         Path | None,
         typer.Option(help="Draw how likely a violation is along each number (.png, .svg or .pdf)."),
@@ -65,37 +69,36 @@ def thresholds(
     """
     if picture is not None:
         check_picture(picture)
-    requests = follow_up_requests({}, confirm, component=component, limit=limit)
+    requests = follow_up_requests({}, confirm, component=component, limit=limit or SHOWN)
     screen = console(stderr=as_json)
-    complete = True
-    if requests and server is None:
-        complete = run_locally(
-            settings_with(database=database, port=0),
-            screen,
-            lambda session: run_follow_ups(
-                session,
-                campaign,
-                [partial(_ask, session.api, campaign, request) for request in requests],
-                workers,
-                f"thresholds {campaign} {follow_up_options(requests)}",
-            ),
-        )
+    complete = follow_up(
+        "thresholds",
+        campaign,
+        requests,
+        lambda api, request: _ask(api, campaign, request),
+        screen,
+        workers=workers,
+        server=server,
+        database=database,
+        simulates=THRESHOLDS_AGAIN,
+    )
 
     async def show(api: Api) -> None:
-        for request in requests if server is not None else ():
-            view = await _ask(api, campaign, request)
-            if view is not None and view.status in OPEN:
-                told = f"campaign {view.campaign} simulates them ({question_of(view.kind).simulates})"
-                screen.print(f"{told}; the same command shows what is known so far", soft_wrap=True)
         path = f"/campaigns/{campaign}/findings/thresholds"
+        rows = {} if limit is None else {"rows": limit}
         if picture is not None:
-            draw_thresholds(await api.read(Finding, path), picture)
+            draw_thresholds(await api.read(Finding, path, rows), picture)
             echo(picture)
         elif as_json:
-            print_json(await api.get(path))
+            print_json(await api.get(path, rows))
         else:
-            more = f"--limit up to {MOST_PAIRS_FOLLOWED:,}"
-            await show_kind(api, campaign, "thresholds", {"rows": limit}, more=more)
+            await show_kind(
+                api,
+                campaign,
+                "thresholds",
+                {"rows": limit or SHOWN},
+                more=f"--limit up to {MOST_PAIRS_FOLLOWED:,}",
+            )
 
     with_api(server, database, show)
     raise typer.Exit(int(not complete))

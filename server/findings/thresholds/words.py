@@ -39,6 +39,8 @@ _UNCERTAIN: Final = {
 }
 _BARE: Final = 3
 """Most words of a part that names a number, its value and its unit, and nothing else."""
+_LONGEST_SYMBOL: Final = 3
+"""Letters up to which a unit is a symbol, such as ``s``, rather than a word in the plural, such as ``steps``."""
 _PARTS: Final = re.compile(r"[^\s,;]+|[,;]?\s+|[,;]")
 
 
@@ -132,7 +134,11 @@ class Amounts:
         return self._with_unit(f"{width * abs(self.per_1):.{self.decimals}f}")
 
     def _with_unit(self, digits: str) -> str:
-        return digits + (self.unit if self.unit == "%" else f" {self.unit}".rstrip())
+        if self.unit == "%":
+            return f"{digits}%"
+        is_word = self.unit.isalpha() and len(self.unit) > _LONGEST_SYMBOL
+        one = is_word and digits.rpartition(" ")[2] == "1"  # 1 step, less than 1 step
+        return f"{digits} {self.unit.removesuffix('s') if one else self.unit}".rstrip()
 
 
 def headline(found: CampaignThresholds, kinds: int, archive: Archive, problem: Problem, noun: str) -> str:

@@ -89,13 +89,15 @@ def test_ground_truth_tells_whether_the_component_is_to_blame_for_a_threshold(
     assert not [one for one in after["steps"] if one["kind"] == "component"]
 
 
-def test_the_command_confirms_both_ends_on_a_coordinator(client: httpx.Client, campaign: str) -> None:
+def test_the_command_confirms_both_ends_and_draws_as_many_as_are_asked_for(
+    client: httpx.Client, campaign: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def shown(*options: str) -> str:
         said = CliRunner().invoke(app, ["thresholds", campaign, *options, "--server", str(client.base_url)])
         assert said.exit_code == 0, said.output
         return " ".join(said.output.split())
 
-    assert "simulates them (both sides of each pair with other seeds)" in shown("--confirm", "30")
+    assert "simulates them (both ends of each threshold with other seeds)" in shown("--confirm", "30")
     (step,) = [one for one in finding_of(client, campaign)["steps"] if one["kind"] == "confirm"]
     work(client, step["follow_up"]["campaign"])
     states = {one["pair"]["confirmation"] for one in finding_of(client, campaign)["view"]["thresholds"]}
@@ -104,6 +106,11 @@ def test_the_command_confirms_both_ends_on_a_coordinator(client: httpx.Client, c
         "Both ends of 2 thresholds were simulated again with other seeds: 2 confirmed, 0 undecided, 0 refuted"
     )
     assert any(words.startswith(told) for words in finding_of(client, campaign)["more"])
+    drawn: list[Any] = []
+    monkeypatch.setattr("brink.cli.thresholds.draw_thresholds", lambda finding, path: drawn.append(finding))
+    for options in ((), ("--limit", "1")):
+        shown("--picture", "curves.png", *options)
+    assert [len(finding.view["thresholds"]) for finding in drawn] == [2, 1]
 
 
 def test_a_campaign_without_thresholds_cannot_be_asked_about_them(client: httpx.Client) -> None:

@@ -129,3 +129,10 @@ def test_amounts_of_a_log_scale_are_numbers_and_their_differences_factors() -> N
     assert amounts.difference(np.log(1.5), np.log(1.1)) == "a factor of 1.5"
     assert amounts.difference(0.0, np.log(1.1)) == "a factor of less than 1.1"
     assert amounts.apart(np.log(1.5)) == pytest.approx(1.5)
+
+
+def test_one_step_is_singular_and_symbols_stay() -> None:
+    steps = Amounts(unit="steps", at_0=0.0, per_1=1.0, decimals=0)
+    assert steps.difference(0.5, 1.0) == "less than 1 step"
+    assert (steps.words(1.0), steps.words(11.0)) == ("1 step", "11 steps")
+    assert Amounts(unit="s", at_0=0.0, per_1=1.0, decimals=0).words(1.0) == "1 s"
