@@ -222,7 +222,7 @@ def _pair(
         safe=safe,
         unsafe=unsafe,
         width=amounts.apart(ends.width),
-        tight=ends.are_tight,
+        tight=one.outcome is Outcome.THRESHOLD and ends.are_tight,
         confirmation=evidence.repeated.state(ends.safe, ends.unsafe),
     )
 

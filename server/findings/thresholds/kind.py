@@ -107,7 +107,7 @@ class ThresholdsKind(Kind):
             "to unsafe while all else is held.",
             example="".join(f"For example, {_in_sentence(one.words)}" for one in sharp[:1]),
             figures=_figures(view, found),
-            caveats=_caveats(view),
+            caveats=_caveats(view, subject.noun),
             trust=_trust(view, subject.noun),
             legend=_legend(view, subject.noun) if view.thresholds else [],
             rings=[[pair.safe.number, pair.unsafe.number] for pair in pairs][:MOST_RINGS]
@@ -191,6 +191,8 @@ def _row(one: ThresholdView) -> list[str | int | float | bool | None]:
 def _pair_words(one: ThresholdView) -> str:
     pair = one.pair
     assert pair is not None
+    if one.outcome is not Outcome.THRESHOLD:
+        return ""  # how wide the stretch is, is not known
     words = "tight pair" if pair.tight else "wider than the stretch"
     if pair.confirmation is Confirmation.NOT_TRIED:
         return words
@@ -271,11 +273,11 @@ def _blame(view: ThresholdsView) -> str:
     return f"{words}. For {rest:,}, that was not tried" if rest else words
 
 
-def _caveats(view: ThresholdsView) -> list[str]:
+def _caveats(view: ThresholdsView, noun: str) -> list[str]:
     told = []
     if any(one.outcome is Outcome.THRESHOLD for one in view.thresholds):
         told.append(
-            "Each threshold holds for its own drive: in another scenario, the same number turns elsewhere"
+            f"Each threshold holds for its own {noun}: if anything that is held differs, the number turns elsewhere"
         )
     unstated = sorted({one.parameter for one in view.thresholds if not one.states_resolution})
     if unstated:
@@ -325,8 +327,10 @@ def _legend(view: ThresholdsView, noun: str) -> list[str]:
         ]
     if any(one.pair is not None for one in view.thresholds):
         told.append(
-            "both ends: simulated drives below 20 and above 80%, by a resolution if there are such; a tight pair if "
-            "they are at most the stretch and two resolutions apart"
+            f"both ends: the simulated {noun}s on either side, a tight pair"
+            if view.computed
+            else f"both ends: simulated {noun}s below 20 and above 80%, by a resolution if there are such; a tight "
+            "pair if they are at most the stretch and two resolutions apart"
         )
     if view.has_component and any(one.outcome is Outcome.THRESHOLD for one in view.thresholds):
         told.append(
@@ -334,7 +338,7 @@ def _legend(view: ThresholdsView, noun: str) -> list[str]:
             "otherwise the scenario's; judged in one drive, with the seed of the search"
         )
     if any(one.window for one in view.thresholds):
-        told.append("window: further on, the drives are safe again, so larger is not simply worse")
+        told.append(f"window: further on, {noun}s are safe again, so larger is not simply worse")
     if any("…" in one.held for one in view.thresholds):
         told.append("held: … stands for what changes")
     told.append(

@@ -28,7 +28,10 @@ class TightPairView(View):
     unsafe: EndView
     width: Annotated[float, Field(description="Distance of the two, in the unit of the threshold.")]
     tight: Annotated[
-        bool, Field(description="Whether that is at most the stretch plus two resolutions of the unit.")
+        bool,
+        Field(
+            description="Whether there is a threshold, and that is at most its stretch plus two resolutions."
+        ),
     ]
     confirmation: Annotated[
         Confirmation,

@@ -293,7 +293,18 @@ def turns(one: Threshold, amounts: Amounts, *, computed: bool) -> str:
         return "nowhere"
     if not math.isfinite(one.middle):
         return "not known yet"
-    return f"{amounts.words(one.middle)} {amounts.interval(one.low, one.high)}"
+    return f"{amounts.words(one.middle)} {_interval(one, amounts)}"
+
+
+def _interval(one: Threshold, amounts: Amounts) -> str:
+    """Return the interval of the 50% point; where it reaches beyond the line, with the end of the line."""
+    if math.isfinite(one.low) and math.isfinite(one.high):
+        return amounts.interval(one.low, one.high)
+    low, high = sorted((one.low, one.high), key=lambda value: value * amounts.per_1)
+    least, most = sorted(one.line.ends, key=lambda value: value * amounts.per_1)
+    below = amounts.number(low) if math.isfinite(low) else f"below {amounts.number(least)}"
+    above = amounts.number(high) if math.isfinite(high) else f"above {amounts.number(most)}"
+    return f"[{below}, {above}]"
 
 
 def within(one: Threshold, amounts: Amounts) -> str:
