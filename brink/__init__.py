@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from brink.python.result import Result as Result
     from brink.python.study import Study as Study
     from brink.python.study import Trial as Trial
+    from brink.python.suite import Suite as Suite
     from brink.search.parameters import Categorical as Categorical
     from brink.search.parameters import Integer as Integer
     from brink.search.parameters import Real as Real
@@ -41,6 +42,7 @@ _HOMES = {
     "Result": "python.result",
     "Study": "python.study",
     "Trial": "python.study",
+    "Suite": "python.suite",
     "Categorical": "search.parameters",
     "Integer": "search.parameters",
     "Real": "search.parameters",

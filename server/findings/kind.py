@@ -84,6 +84,20 @@ class Subject:
         """Path of the campaign, in the API and on the dashboard."""
         return f"campaigns/{self.campaign.id}"
 
+    def keep(self, option: str, what: str) -> Step:
+        """Return the step that keeps drives in a suite.
+
+        Args:
+            option: Option of `brink suite create` that takes them.
+            what: What they are.
+        """
+        return Step(
+            kind="suite",
+            question="Is it fixed in the next version?",
+            words=f"Keeps {what} in a file; brink suite run simulates them again with every version, also in a CI.",
+            command=f"brink suite create {self.campaign.id} {option} --out hazards.yaml",
+        )
+
     def longer(self, words: str) -> Step:
         """Return the step that searches again with a larger budget."""
         return Step(

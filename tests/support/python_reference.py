@@ -23,6 +23,7 @@ PAGE: Final = Path(__file__).parents[2] / "docs" / "reference" / "python.md"
 GROUPS: Final = {
     "Running campaigns": ["run", "connect", "Campaign"],
     "Results": ["Result", "Picture"],
+    "Suites": ["Suite"],
     "A coordinator's campaigns": ["Client", "Submitted"],
     "Functions and loops of your own": ["search", "Study", "Trial", "Real", "Integer", "Categorical"],
     "Guards": [

@@ -137,7 +137,10 @@ class PairsKind(Kind):
         if view is None or not has_pairs:
             return _search_on(subject, view)
         asked = [_ask(subject, view, offer) for offer in view.offers]
-        return [*(step for step in asked if step is not None), _look(subject, view, "What happens in them?")]
+        steps = [*(step for step in asked if step is not None), _look(subject, view, "What happens in them?")]
+        if any(pair.confirmation.state is Confirmation.CONFIRMED for pair in view.pairs):
+            steps.append(subject.keep("--pairs confirmed", "confirmed pairs"))
+        return steps
 
 
 def _best_pair(pair: PairView) -> BestPair:

@@ -364,6 +364,8 @@ def _steps(subject: Subject, view: ThresholdsView) -> list[Step]:
     ]
     if campaign.status in ENDED:
         steps += [step for step in (_confirm(subject, sharp), _component(subject, sharp)) if step is not None]
+        if any(one.pair is not None for one in sharp):
+            steps.append(subject.keep("--thresholds", "the drives at both ends of each threshold"))
     return steps
 
 

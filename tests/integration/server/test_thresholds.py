@@ -240,7 +240,7 @@ def test_without_chance_a_threshold_is_a_bracket_as_wide_as_the_resolution(clien
     told = str([found["tables"][0]["columns"], found["legend"], found["trust"], found["caveats"]])
     assert "90%" not in told
     assert "with a probability of" not in told
-    assert [step["kind"] for step in found["steps"]] == ["look"]
+    assert [step["kind"] for step in found["steps"]] == ["look", "suite"]
     coarse = run(client, sweep(bisected[:3], problem={"id": Line.id}))
     assert expect(client.get(f"{API}/{coarse}/findings/thresholds"))["is_empty"]
 
