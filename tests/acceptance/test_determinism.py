@@ -27,6 +27,13 @@ BALL = {
             "generation_size": 6,
         },
     },
+    "suite@1": {
+        "id": "suite@1",
+        "params": {
+            "solutions": [[0.06 * place, 0.0] for place in range(30)],
+            "seeds": list(range(0, 600, 20)),
+        },
+    },
 }
 """Searches on the ball."""
 
