@@ -497,6 +497,7 @@ class Result(CampaignResult, Synchronous[AsyncResult]):
     violations = synchronous_method(AsyncResult.violations)
     combinations = synchronous_method(AsyncResult.combinations)
     tolerances = synchronous_method(AsyncResult.tolerances)
+    rate = synchronous_method(AsyncResult.rate)
     plot = synchronous_method(AsyncResult.plot)
     pair = synchronous_method(AsyncResult.pair)
     replay = synchronous_method(AsyncResult.replay)

@@ -158,7 +158,7 @@ def test_the_command_prints_and_draws_it(
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
     assert "50% point" in (tmp_path / "curves.svg").read_text()
     refused = invoke("verdicts", "--picture", str(tmp_path / "no.png"))
-    assert "expected a kind that has a picture (thresholds), got verdicts" in str(refused.exception)
+    assert "expected a kind that has a picture (rate, thresholds), got verdicts" in str(refused.exception)
 
 
 def test_a_comparison_counts_what_searches_are_for(client: httpx.Client, campaign: str) -> None:
