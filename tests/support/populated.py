@@ -26,6 +26,10 @@ TRAFFIC: dict[str, Any] = {
     "execution": {"keep_traces": 0},
 }
 SLOTS: dict[str, Any] = {**TRAFFIC, "name": "slots", "problem": {"id": "slotted@1"}}
+SUITE: dict[str, Any] = {
+    "id": "suite@1",
+    "params": {"solutions": [[0.0, 0.0], [0.9, 0.0], [1.8, 0.0]], "seeds": [0, 20, 40]},
+}
 
 
 def fill(client: httpx.Client) -> dict[str, list[Any]]:
@@ -49,6 +53,8 @@ def fill(client: httpx.Client) -> dict[str, list[Any]]:
     lines: dict[str, Any] = {"algorithm": {"id": "edge@2"}, "execution": {"keep_traces": 0}}
     thresholds = submit(client, ball(simulations=200, **lines))
     assert FakeWorker(client).work(thresholds)["status"] == "finished"
+    suite = submit(client, ball(simulations=60, algorithm=SUITE))
+    assert FakeWorker(client).work(suite)["status"] == "finished"
     running = submit(client, ball(seed=2, execution={"cache": False}))
     leases, retried = _worked_on(client)
     nobodys: dict[str, Any] = {"problem": {"id": "ball@1", "params": {"needs": "nobody-has-it@1"}}}
@@ -68,7 +74,7 @@ def fill(client: httpx.Client) -> dict[str, list[Any]]:
         "experiments": experiments[:1],
         "spare_experiments": experiments[1:],
         "solutions": [{"where": {"x": 0.0}, "what": {"y": 0.5}}],
-        "campaigns": [finished, slots, traffic, running, unrunnable],
+        "campaigns": [finished, slots, traffic, running, unrunnable, suite],
         "spares": spares,
         "numbers": [0, 1, 2, 3, 19],
         "jobs": [*retried, *(lease["job"] for lease in leases)],
