@@ -23,7 +23,7 @@ from brink.sim.formula_requirement import StatedFormula
 
 _VARIABLE: Final = "variable"
 _EXAMPLE: Final[Mapping[str, Any]] = {
-    "space": {"scenario": {"gap": {"min": 5.0, "max": 60.0, "unit": "m"}}},
+    "space": {"scenario": {"gap": {"min": 5.0, "max": 60.0, "unit": "m", "resolution": 0.1}}},
     "requirements": {"keep-gap": {"signal": "gap", "above": 0.0, "unit": "m"}},
 }
 
