@@ -5,7 +5,6 @@ Exit codes of `brink suite run`: 0 if every drive is as expected, 1 if one is no
 
 import asyncio
 import functools
-import sys
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -19,6 +18,7 @@ from brink.api.following import Silent, follow
 from brink.api.live import Steps
 from brink.api.results import UNDRAWABLE, fetch_requirements, trace_of
 from brink.api.suites import Chosen, NewEntries, find_entries, run_suite, suite_results
+from brink.api.terminal import echo
 from brink.cli.findings import print_table
 from brink.cli.local import CommandSession, run_locally, stopping
 from brink.cli.options import (
@@ -82,7 +82,7 @@ def _usage(command: Callable[P, None]) -> Callable[P, None]:
             command(*args, **kwargs)
         except InvalidInput as error:
             for one in error.errors:
-                print(f"brink: {printable(str(one))}", file=sys.stderr)
+                echo(f"brink: {printable(str(one))}", err=True)
             raise typer.Exit(USAGE) from None
 
     return run
