@@ -498,7 +498,7 @@ def matrix(
     ],
     out: Annotated[Path, typer.Option(help="File to write: .html or .png.")] = Path("matrix.html"),
 ) -> None:
-    """Draw the drives of a suite by versions: what came back is on top, the newest version comes first.
+    """Draw the drives of a suite by versions: what turned unsafe is on top, the newest version comes first.
 
     Example: brink suite matrix 1.0.json 1.1.json --out matrix.html
     """

@@ -32,7 +32,7 @@ def figure_matrix(matrix: Matrix, suite: str) -> Figure:
     axes.set_ylim(len(rows), 0)
     axes.axis("off")
     for place, row in enumerate(rows):
-        name = _cut(row.name, _NAME_CHARACTERS) + (" (came back)" if row.came_back else "")
+        name = _cut(row.name, _NAME_CHARACTERS) + (" (turned unsafe)" if row.turned_unsafe else "")
         axes.text(-0.05, place + 0.5, name, ha="right", va="center", fontsize=SMALL_PT - 1, color=INK)
         for column, cell in enumerate(row.cells[:MOST_VERSIONS]):
             fails = cell is not None and not cell.passed

@@ -1,4 +1,4 @@
-"""What methods found, in the report of an experiment, of any kind: shares, comparisons in words and in tables."""
+"""Parts of the report of an experiment that pairs and thresholds share: shares, and comparisons of methods."""
 
 from collections.abc import Sequence
 from enum import StrEnum

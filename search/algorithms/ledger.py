@@ -190,6 +190,12 @@ class Ledger:
         return len(self.archive) + len(self.failed) + len(self.measured)
 
     @property
+    def ended(self) -> dict[int, bool | None]:
+        """Whether each candidate told so far was unsafe, by number; None for one without a verdict."""
+        numbers, unsafe = self.archive.numbers.tolist(), self.archive.unsafe.tolist()
+        return dict.fromkeys(range(self.spent)) | dict(zip(numbers, unsafe, strict=True))
+
+    @property
     def in_flight(self) -> int:
         """Number of candidates asked for but not yet told."""
         return sum(map(len, self.flight))

@@ -120,10 +120,7 @@ def _planned(config: RepeatsConfig, ledger: Ledger) -> RepeatsState:
     """Return the state with complete rounds queued; the budget may cut the last one short."""
     given, first = np.asarray(config.solutions, np.float64), ledger.spent
     if config.keep:
-        archive = ledger.archive
-        ended: dict[int, bool | None] = dict.fromkeys(range(first))
-        ended |= dict(zip(archive.numbers.tolist(), archive.unsafe.tolist(), strict=True))
-        planned = schedule(config.keep, ended, ledger.budget, config.generation_size)[first:]
+        planned = schedule(config.keep, ledger.ended, ledger.budget, config.generation_size)[first:]
     else:
         rounds = max(1, config.generation_size // len(given))
         last = min(first - first % len(given) + rounds * len(given), ledger.budget)

@@ -118,10 +118,7 @@ class Suite(LedgerAlgorithm[SuiteConfig, SuiteState]):
 
 def _planned(config: SuiteConfig, ledger: Ledger) -> SuiteState:
     """Return the state with the next round queued; the budget may cut it short."""
-    archive, first = ledger.archive, ledger.spent
-    ended: dict[int, bool | None] = dict.fromkeys(range(first))
-    ended |= dict(zip(archive.numbers.tolist(), archive.unsafe.tolist(), strict=True))
-    planned = schedule(len(config.solutions), ended, most=config.most)[first : ledger.budget]
+    planned = schedule(len(config.solutions), ledger.ended, most=config.most)[ledger.spent : ledger.budget]
     seeds = config.seeds or [0] * len(config.solutions)
     rows = np.asarray(config.solutions, np.float64)
     return SuiteState(

@@ -161,7 +161,7 @@ def _prepare(
     applied = {key: value for key, value in changes.items() if key in _parameters(system)}
     body = system_body(f"suite {suite}: {name}", system, applied)
     version = ", ".join(f"{key}={value}" for key, value in applied.items()) or "nothing changed"
-    refuse = partial(
+    prepared = partial(
         SystemRun,
         system=name,
         version=version,
@@ -177,7 +177,7 @@ def _prepare(
             raise InvalidInput(FieldError(pointer=key, message=message) for key, message in wrong)
         _check_not_newer(system, problem)
     except CLASHES as error:
-        return refuse(body=None, cases=(), refused=tuple((case, str(error)) for case in cases))
+        return prepared(body=None, cases=(), refused=tuple((case, str(error)) for case in cases))
     rows: dict[str, FloatArray] = {}
     refused: list[tuple[Case, str]] = []
     for case in cases:
@@ -187,7 +187,7 @@ def _prepare(
             refused.append((case, str(error)))
     kept = tuple(case for case in cases if case.name in rows)
     if not kept:
-        return refuse(body=None, cases=(), refused=tuple(refused))
+        return prepared(body=None, cases=(), refused=tuple(refused))
     episodes = [episode_of(plan, rows[case.name], case.entry.seed) for case in kept]
     same = [digest == case.drive.episode for digest, case in zip(episodes, kept, strict=True)]
     most = 1 if problem.ignores_seeds else MOST
@@ -206,7 +206,7 @@ def _prepare(
             "budget": Budget(simulations=most * len(kept)),
         }
     )
-    return refuse(
+    return prepared(
         body=complete,
         cases=kept,
         refused=tuple(refused),

@@ -1,4 +1,4 @@
-"""The matrix of a suite: drives by versions, what came back on top."""
+"""The matrix of a suite: drives by versions, what turned unsafe on top."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,13 +27,13 @@ class MatrixRow:
         name: The drive.
         words: The drive in words.
         cells: Its result in each version; None where the version's run does not have it.
-        came_back: Whether it is unsafe in the newest version with a clear result, and was safe in an earlier one.
+        turned_unsafe: Whether it is unsafe in the newest version with a clear result, and was safe in an earlier one.
     """
 
     name: str
     words: str
     cells: tuple[CaseResult | None, ...]
-    came_back: bool
+    turned_unsafe: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +43,7 @@ class Matrix:
     Attributes:
         versions: Labels of the runs, the newest first.
         times: When each ended.
-        rows: What came back is on top, then what the newest run found not as expected.
+        rows: What turned unsafe is on top, then what the newest run found not as expected.
     """
 
     versions: tuple[str, ...]
@@ -53,9 +53,10 @@ class Matrix:
     @property
     def words(self) -> str:
         """The matrix in a sentence."""
-        back = sum(row.came_back for row in self.rows)
+        worse = sum(row.turned_unsafe for row in self.rows)
         drives = f"{len(self.rows):,} drive{'s' if len(self.rows) != 1 else ''}"
-        return f"{drives} in {len(self.versions)} version{'s' if len(self.versions) != 1 else ''}: {back} came back"
+        versions = f"{len(self.versions)} version{'s' if len(self.versions) != 1 else ''}"
+        return f"{drives} in {versions}: {worse} turned unsafe"
 
 
 def matrix_of(runs: Sequence[SuiteResults]) -> Matrix:
@@ -67,13 +68,13 @@ def matrix_of(runs: Sequence[SuiteResults]) -> Matrix:
     for name in names:
         cells = tuple(run.get(name) for run in by_name)
         words = next((cell.words for cell in cells if cell is not None and cell.words), "")
-        rows.append(MatrixRow(name=name, words=words, cells=cells, came_back=_came_back(cells)))
+        rows.append(MatrixRow(name=name, words=words, cells=cells, turned_unsafe=_turned_unsafe(cells)))
     order = list(SuiteVerdict)
 
     def attention(row: MatrixRow) -> tuple[bool, bool, int]:
         newest = row.cells[0]
         return (
-            not row.came_back,
+            not row.turned_unsafe,
             newest is None or newest.passed,
             len(order) if newest is None else order.index(newest.verdict),
         )
@@ -85,7 +86,7 @@ def matrix_of(runs: Sequence[SuiteResults]) -> Matrix:
     )
 
 
-def _came_back(cells: Sequence[CaseResult | None]) -> bool:
+def _turned_unsafe(cells: Sequence[CaseResult | None]) -> bool:
     clear = [
         cell.decision.value
         for cell in cells

@@ -1,4 +1,4 @@
-"""Values of OpenSCENARIO, such as ``${($speed - 5) / 3.6}``, as formulas of `brink.formula`."""
+"""Translates expressions of OpenSCENARIO, such as ``${($speed - 5) / 3.6}``, into formulas of `brink.formula`."""
 
 import ast
 import re

@@ -27,7 +27,7 @@ MTQ = {
 
 
 def scripts(document: Any) -> list[str]:
-    """Return the scripts of a file of GitHub or GitLab that call brink."""
+    """Return the shell commands in a CI file of GitHub or GitLab that call brink."""
     if "jobs" in document:
         found = [step.get("run", "") for step in document["jobs"]["suite"]["steps"]]
     else:

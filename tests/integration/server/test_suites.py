@@ -145,7 +145,7 @@ def test_a_change_breaks_and_fixes_drives(bench: Bench) -> None:
     assert kept.exit_code == 1
     drawn = bench.brink("suite", "matrix", "better.json", "worse.json", "--out", "matrix.html")
     assert drawn.exit_code == 0, drawn.output
-    assert "3 drives in 2 versions: 2 came back" in drawn.output
+    assert "3 drives in 2 versions: 2 turned unsafe" in drawn.output
 
 
 def test_what_is_unclear_or_fails_or_is_not_reproduced_is_told_apart(bench: Bench) -> None:

@@ -34,7 +34,7 @@ SMALL = RateConfig(pool=10, generation_size=40, in_flight=2)
 
 
 def half_random(seed: int) -> Callable[[Candidate], Evaluation]:
-    """Return verdicts that are a matter of chance: often unsafe in a corner, rarely elsewhere."""
+    """Return random verdicts: often unsafe in one corner of the space, rarely elsewhere."""
 
     def evaluate(candidate: Candidate) -> Scored:
         x, y, _ = candidate.vectors[0]
