@@ -1,5 +1,6 @@
 """The interval of a rate against simulations, with the claim."""
 
+import textwrap
 from typing import Final
 
 from matplotlib.figure import Figure
@@ -21,6 +22,7 @@ from brink.server.findings.rate.views import RateView
 
 _HEIGHT_PX: Final = 620
 _TICKS: Final = 8
+_LINE_CHARACTERS: Final = 150
 
 
 def figure_rate(view: RateView, sentence: str) -> Figure:
@@ -30,11 +32,12 @@ def figure_rate(view: RateView, sentence: str) -> Figure:
         view: The rate.
         sentence: What it says.
     """
-    figure = new_figure(
-        _HEIGHT_PX,
-        "How often it is unsafe in operation",
+    says = (
         f"{sentence[:1].upper()}{sentence[1:]}. The band contains the rate at all numbers of simulations at once, "
-        f"with {100 * view.confidence:.4g}% confidence.",
+        f"with {100 * view.confidence:.4g}% confidence."
+    )
+    figure = new_figure(
+        _HEIGHT_PX, "How often it is unsafe in operation", textwrap.fill(says, _LINE_CHARACTERS)
     )
     axes = figure.add_axes(
         ((MARGIN_PX + 60) / WIDTH_PX, 90 / _HEIGHT_PX, 1 - (MARGIN_PX + 120) / WIDTH_PX, 1 - 260 / _HEIGHT_PX)
@@ -63,7 +66,7 @@ def figure_rate(view: RateView, sentence: str) -> Figure:
         )
     axes.set_xscale("log")
     axes.set_xlim(simulations[0], simulations[-1])
-    axes.set_xticks(simulations[:: -(-len(simulations) // _TICKS)], minor=False)
+    axes.set_xticks(simulations[:: -len(simulations) // _TICKS], minor=False)
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.set_ylim(0.0, min(1.0, 3.0 * max(tops)))
