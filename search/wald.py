@@ -1,33 +1,46 @@
-"""Whether a drive is safe or unsafe over episode seeds: Wald's sequential probability ratio test.
+"""Whether a drive is safe or unsafe over episode seeds: two of Wald's sequential probability ratio tests at once.
 
-A drive counts as *safe* if the probability of a violation is at most `SAFE_AT_MOST`, as *unsafe* if it is at least
-`UNSAFE_AT_LEAST`; of either, the test is wrong with a probability of at most `ERROR`. In between it may say either,
-or end as *unclear* after `MOST` drives. With these numbers, it decides once one verdict is four drives ahead of the
-other, so a clear case takes four.
+A drive is *safe* if violations are rare, *unsafe* if it nearly always violates; anything in between is *unclear*. One
+test decides whether violations are rare (`RARE`) or happen in half of the drives, its mirror image whether drives
+without one are rare or half. The drive is called safe or unsafe once the test of that claim has ruled out one half,
+and unclear as soon as neither can within `MOST` drives. Therefore
 
-Drives that failed have no verdict. They count against whatever is claimed.
+- at most `WRONG` of drives that violate half of the time or more are called safe, and of those that violate half of
+  the time or less, unsafe,
+- of the drives that were simulated, at most a fifth contradict the verdict.
 
-Source: Wald 1945, Sequential tests of statistical hypotheses.
+A clear case takes `CLEAR` drives. Drives that failed have no verdict. They count against whatever is claimed.
+
+Sources: Wald 1945, Sequential tests of statistical hypotheses; Sobel and Wald 1949, A sequential decision procedure
+for choosing one of three hypotheses.
 """
 
 import math
 from enum import StrEnum
 from typing import Final
 
-SAFE_AT_MOST: Final = 0.2
-"""Largest probability of a violation of a safe drive."""
-UNSAFE_AT_LEAST: Final = 0.8
-"""Smallest probability of a violation of an unsafe drive."""
-ERROR: Final = 0.01
-"""Largest probability that a safe drive is called unsafe, and the reverse."""
+RARE: Final = 0.1
+"""Probability of what is rare."""
+HALF: Final = 0.5
+WRONG: Final = 0.05
+"""Largest probability that a drive that violates in half of its simulations is called safe, and the reverse."""
+MISSED: Final = 0.1
+"""Error rate of the test for a drive with rare violations, which is not called safe then."""
 MOST: Final = 20
 """Drives after which a test that has not decided ends."""
-_UNSAFE_STEP: Final = math.log(UNSAFE_AT_LEAST / SAFE_AT_MOST)
-_SAFE_STEP: Final = math.log((1 - UNSAFE_AT_LEAST) / (1 - SAFE_AT_MOST))
-"""What a drive with each verdict adds to the log-likelihood ratio of unsafe to safe."""
-_LIMIT: Final = math.log((1 - ERROR) / ERROR)
-LEAD: Final = math.ceil(_LIMIT / _UNSAFE_STEP)
-"""Drives by which one verdict must be ahead of the other: the steps are equal, as the two limits add up to 1."""
+_LIMIT: Final = math.log((1 - MISSED) / WRONG)
+_FOR: Final = math.log((1 - RARE) / (1 - HALF))
+_AGAINST: Final = math.log(HALF / RARE)
+"""What a drive for a claim and one against it add to the log-likelihood ratio and take from it."""
+
+
+def _needed(against: int) -> int:
+    """Return the number of drives for a claim that decides, with a number of drives against it."""
+    return math.ceil((_LIMIT + against * _AGAINST) / _FOR)
+
+
+CLEAR: Final = _needed(0)
+"""Drives that a clear case takes."""
 
 
 class Decision(StrEnum):
@@ -36,7 +49,7 @@ class Decision(StrEnum):
     SAFE = "safe"
     UNSAFE = "unsafe"
     UNCLEAR = "unclear"
-    """Neither, after `MOST` drives."""
+    """Neither, and no further drives would change that."""
     CANNOT_RUN = "cannot run"
     """No drive had a verdict."""
     OPEN = "open"
@@ -61,17 +74,21 @@ def decide(unsafe: int, evaluated: int, failed: int = 0, *, most: int = MOST) ->
             f"{most}"
         )
     safe, drives = evaluated - unsafe, evaluated + failed
-    if unsafe * _UNSAFE_STEP + (safe + failed) * _SAFE_STEP >= _LIMIT:
+    if unsafe >= _needed(safe + failed):
         return Decision.UNSAFE
-    if (unsafe + failed) * _UNSAFE_STEP + safe * _SAFE_STEP <= -_LIMIT:
+    if safe >= _needed(unsafe + failed):
         return Decision.SAFE
-    if not evaluated and drives >= min(LEAD, most):
+    if drives < min(CLEAR, most):
+        return Decision.OPEN
+    if not evaluated:
         return Decision.CANNOT_RUN
-    return Decision.OPEN if drives < most else Decision.UNCLEAR
+    left = max(most - drives, 0)
+    reachable = safe + left >= _needed(unsafe + failed) or unsafe + left >= _needed(safe + failed)
+    return Decision.OPEN if left and reachable else Decision.UNCLEAR
 
 
 def further_drives(unsafe: int, evaluated: int, failed: int = 0, *, most: int = MOST) -> int:
-    """Return the smallest number of further drives after which the test may end; 0 if it has ended.
+    """Return the smallest number of further drives, failed or not, after which the test may end; 0 if it has.
 
     Args:
         unsafe: Drives that violated.
@@ -81,5 +98,15 @@ def further_drives(unsafe: int, evaluated: int, failed: int = 0, *, most: int = 
     """
     if decide(unsafe, evaluated, failed, most=most) is not Decision.OPEN:
         return 0
-    safe = evaluated - unsafe
-    return min(LEAD - max(unsafe - safe, safe - unsafe) + failed, most - evaluated - failed)
+    safe, drives = evaluated - unsafe, evaluated + failed
+    left = most - drives
+    decided = min(_needed(unsafe + failed) - safe, _needed(safe + failed) - unsafe)
+    given_up = max(
+        _until_unreachable(safe, unsafe + failed, left), _until_unreachable(unsafe, safe + failed, left)
+    )
+    return min(max(min(decided, given_up), min(CLEAR, most) - drives), left)
+
+
+def _until_unreachable(supporting: int, against: int, left: int) -> int:
+    """Return after how many further drives against a claim those that are left cannot decide for it."""
+    return next((more for more in range(left) if supporting + left - more < _needed(against + more)), left)

@@ -352,7 +352,7 @@ def run(
 ) -> None:
     """Simulate a suite and say which drives are broken, fixed, still unsafe or still safe.
 
-    Each drive is simulated until a sequential test decides: a clear one 4 times, an unclear one 20 times. Without
+    Each drive is simulated until a sequential test decides: a clear one 5 times, others up to 20 times. Without
     --server, the command runs a coordinator and workers. Exits with 0 if all is as expected, with 1 if not.
 
     Example: brink suite run hazards.yaml --set detector=onnx:new.onnx --junit hazards.xml

@@ -6,7 +6,6 @@ from xml.etree import ElementTree as Xml
 
 from brink.report.text import markdown_text, page_template, table_row
 from brink.search.analysis.suite import SuiteVerdict
-from brink.search.wald import MOST
 from brink.server.suites.matrix import Matrix, mark_of, state_of
 from brink.server.suites.results import CaseResult, SuiteResults, sorted_cases
 from brink.worker.printable import printable
@@ -123,5 +122,5 @@ def matrix_page(matrix: Matrix, suite: str) -> str:
         suite: Name of the suite.
     """
     return page_template("suite.html").render(
-        suite=suite, matrix=matrix, mark_of=mark_of, state_of=state_of, case_words=case_words, most=MOST
+        suite=suite, matrix=matrix, mark_of=mark_of, state_of=state_of, case_words=case_words
     )

@@ -1,6 +1,6 @@
 """`suite@1`: simulates the drives of a suite again until it is clear whether each is safe or unsafe.
 
-Each drive is simulated with as many seeds as Wald's test takes (`brink.search.wald`): in rounds, each with as
+Each drive is simulated with as many seeds as a sequential test takes (`brink.search.wald`): in rounds, each with as
 many simulations of every undecided drive as the test needs at least. Seeds belong to a drive, not to its place in the
 suite or to the verdicts of others: its k-th simulation has the episode seed of candidate ``seeds[drive] + k``. Suites
 that share a drive, and versions of a system that do not differ for it, therefore share its episodes.
@@ -8,7 +8,7 @@ that share a drive, and versions of a system that do not differ for it, therefor
 `schedule` says which candidate is which simulation; it follows from the verdicts alone, also of a stored campaign.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -26,7 +26,7 @@ from brink.search.document import Document
 from brink.search.errors import ConfigError
 from brink.search.settings import setting
 from brink.search.space import SearchSpace
-from brink.search.wald import LEAD, MOST, Decision, decide, further_drives
+from brink.search.wald import CLEAR, MOST, Decision, decide, further_drives
 
 VERDICTS: Final = ("safe", "unsafe")
 
@@ -103,7 +103,7 @@ class Suite(LedgerAlgorithm[SuiteConfig, SuiteState]):
 
     def flight(self, config: SuiteConfig) -> tuple[int, int]:
         """Return the most candidates of one generation, and that there is one generation in flight."""
-        return len(config.solutions) * min(LEAD, config.most), 1
+        return len(config.solutions) * min(CLEAR, config.most), 1
 
     def _first_state(self, ledger: Ledger, config: SuiteConfig) -> SuiteState:
         return _planned(config, ledger)
@@ -138,18 +138,23 @@ class Tally:
         unsafe: Those that violated.
         evaluated: Those with a verdict.
         failed: Those without one.
+        examples: Number of the first candidate with each verdict, by whether that is unsafe.
     """
 
     most: int = MOST
     unsafe: int = 0
     evaluated: int = 0
     failed: int = 0
+    examples: dict[bool, int] = field(default_factory=dict)
 
-    def add(self, unsafe: bool | None) -> None:
-        """Count a simulation: whether it was unsafe; None if it failed."""
-        self.unsafe += unsafe is True
-        self.evaluated += unsafe is not None
-        self.failed += unsafe is None
+    def add(self, number: int, unsafe: bool | None) -> None:
+        """Count the simulation of a candidate: whether it was unsafe; None if it failed."""
+        if unsafe is None:
+            self.failed += 1
+            return
+        self.unsafe += unsafe
+        self.evaluated += 1
+        self.examples.setdefault(unsafe, number)
 
     @property
     def decision(self) -> Decision:
@@ -174,6 +179,18 @@ def schedule(drives: int, ended: Mapping[int, bool | None], *, most: int = MOST)
         ended: Whether each candidate that has ended was unsafe, by number; None for one that failed.
         most: Most simulations of a drive.
     """
+    return _replayed(drives, ended, most)[0]
+
+
+def tallied(drives: int, ended: Mapping[int, bool | None], *, most: int = MOST) -> list[Tally]:
+    """Return the tally of each drive of a stored campaign; arguments as in `schedule`."""
+    return _replayed(drives, ended, most)[1]
+
+
+def _replayed(
+    drives: int, ended: Mapping[int, bool | None], most: int
+) -> tuple[list[tuple[int, int]], list[Tally]]:
+    """Return the schedule and the tallies that follow from the verdicts."""
     tallies = [Tally(most=most) for _ in range(drives)]
     planned: list[tuple[int, int]] = []
     while True:
@@ -182,16 +199,8 @@ def schedule(drives: int, ended: Mapping[int, bool | None], *, most: int = MOST)
             done = tally.evaluated + tally.failed
             planned += [(drive, done + further) for further in range(tally.needed)]
         new = range(first, len(planned))
-        if not new or any(number not in ended for number in new):
-            return planned
         for number in new:
-            tallies[planned[number][0]].add(ended[number])
-
-
-def tallied(drives: int, ended: Mapping[int, bool | None], *, most: int = MOST) -> Sequence[Tally]:
-    """Return the tally of each drive of a stored campaign; arguments as in `schedule`."""
-    tallies = [Tally(most=most) for _ in range(drives)]
-    for number, (drive, _) in enumerate(schedule(drives, ended, most=most)):
-        if number in ended:
-            tallies[drive].add(ended[number])
-    return tallies
+            if number in ended:
+                tallies[planned[number][0]].add(number, ended[number])
+        if not all(number in ended for number in new) or not new:
+            return planned, tallies

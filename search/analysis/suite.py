@@ -15,7 +15,7 @@ class SuiteVerdict(StrEnum):
     """Nothing has changed, and it is not what it was found to be."""
     CANNOT_RUN = "cannot run"
     UNCLEAR = "unclear"
-    """It violates with a probability between that of a safe and that of an unsafe drive."""
+    """It violates too often for a safe drive and too rarely for an unsafe one, or too few seeds tell."""
     OPEN = "not simulated"
     """Too few simulations have ended."""
     FIXED = "fixed"
@@ -56,8 +56,7 @@ def verdict_on(decision: Decision, expected: str, *, before: str = "", reproduce
 def passes(verdict: SuiteVerdict, expected: str) -> bool:
     """Return whether a drive is as expected.
 
-    A known hazard passes whether it is still there, gone or unclear. What should be safe passes only if it is: where
-    it is unclear, a drive that violates at most one time in five is very unlikely.
+    A known hazard passes whether it is still there, gone or unclear. What should be safe passes only if it is.
 
     Args:
         verdict: What has become of it.

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
-from brink.search.algorithms.suite import schedule, tallied
+from brink.search.algorithms.suite import tallied
 from brink.search.analysis.suite import SuiteVerdict, passes, verdict_on
 from brink.search.wald import MOST, Decision
 from brink.server.documents import Body, parse_document, parse_yaml
@@ -113,18 +113,12 @@ def judged(
         campaign: Id of the campaign.
     """
     drives, most = len(params["solutions"]), params.get("most", MOST)
-    tallies = tallied(drives, ended, most=most)
-    places: list[list[int]] = [[] for _ in range(drives)]
-    for number, (drive, _) in enumerate(schedule(drives, ended, most=most)):
-        places[drive].append(number)
     cases = []
-    for place, tally in enumerate(tallies):
+    for place, tally in enumerate(tallied(drives, ended, most=most)):
         expect = _at(params, "expect", place) or "unsafe"
         reproduce = _at(params, "reproduce", place)
         decision = tally.decision
         verdict = verdict_on(decision, expect, reproduce=reproduce)
-        wanted = decision is Decision.UNSAFE
-        numbers = [number for number in places[place] if ended.get(number) is wanted]
         cases.append(
             CaseResult(
                 name=_at(params, "names", place) or f"drive {place + 1}",
@@ -139,7 +133,7 @@ def judged(
                 failed=tally.failed,
                 reason=_why(verdict, tally.failed),
                 campaign=campaign,
-                solution=min(numbers, default=None),
+                solution=tally.examples.get(decision is Decision.UNSAFE),
                 episode=_at(params, "episodes", place),
             )
         )

@@ -1,6 +1,6 @@
 """What has become of the drives of a suite, as a kind of finding."""
 
-from brink.search.wald import ERROR, MOST, SAFE_AT_MOST, UNSAFE_AT_LEAST
+from brink.search.wald import CLEAR, MOST, WRONG
 from brink.server.campaigns.follow_ups.store import read_ended
 from brink.server.findings.finding import Finding, Step, Term
 from brink.server.findings.kind import Kind, Listed, Subject
@@ -9,9 +9,9 @@ from brink.server.findings.words import so_far
 from brink.server.suites.results import CaseResult, judged, sorted_cases, verdict_words
 
 LEGEND = [
-    f"A drive is safe if it violates with at most {SAFE_AT_MOST:.0%} of seeds, unsafe with at least "
-    f"{UNSAFE_AT_LEAST:.0%}; a sequential test decides with error rates of {ERROR:.0%} each, or ends as unclear "
-    f"after {MOST} simulations",
+    f"Safe: violations are rare. Unsafe: drives without one are rare. A sequential test decides after {CLEAR} to "
+    f"{MOST} simulations; of drives that violate with half of the seeds, it calls at most {WRONG:.0%} safe and "
+    f"{WRONG:.0%} unsafe. All others are unclear",
     "Expected safe: a regression test. Expected unsafe: a known hazard, which passes as long as it is there and when "
     "it is gone",
 ]

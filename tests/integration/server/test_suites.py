@@ -107,15 +107,15 @@ def test_nothing_changed_is_reproduced_and_costs_nothing_the_second_time(bench: 
     first = bench.brink("suite", "run", "hazards.yaml", "--json", "--out", "first.json")
     assert first.exit_code == 0, first.output
     assert verdicts(first) == {"unsafe-0": "still unsafe", "unsafe-1": "still unsafe", "safe-2": "still safe"}
-    assert bench.jobs == 3 * 4
+    assert bench.jobs == 3 * 5
     again = bench.brink("suite", "run", "hazards.yaml", "--json")
     new = bench.brink("suite", "run", "hazards.yaml", "--json", "--new")
     assert verdicts(again) == verdicts(new) == verdicts(first)
-    assert bench.jobs == 12, "the second run is the first one, and a new one has its results from the cache"
+    assert bench.jobs == 15, "the second run is the first one, and a new one has its results from the cache"
     renamed = bench.brink("suite", "rename", "hazards.yaml", "unsafe-0", "late")
     assert renamed.exit_code == 0
     assert "late" in verdicts(bench.brink("suite", "run", "hazards.yaml", "--json"))
-    assert bench.jobs == 12, "the seeds of a drive do not depend on its name"
+    assert bench.jobs == 15, "the seeds of a drive do not depend on its name"
 
 
 def test_a_change_breaks_and_fixes_drives(bench: Bench) -> None:
@@ -137,7 +137,7 @@ def test_a_change_breaks_and_fixes_drives(bench: Bench) -> None:
     assert failures == {"unsafe-1", "safe-2"}
     comment = (bench.folder / "comment.md").read_text()
     assert "**2 not as expected**" in comment
-    assert "| safe-2 | broken | 4 of 4 | safe |" in comment
+    assert "| safe-2 | broken | 5 of 5 | safe |" in comment
     text = file.read_text().replace("expect: unsafe", "expect: safe")
     file.write_text(text)
     kept = bench.brink("suite", "run", "hazards.yaml", "--set", "limit=0.5", "--json")
