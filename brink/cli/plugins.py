@@ -1,5 +1,6 @@
-"""The commands of `brink plugins`: which plug-ins are registered, and whether they fulfil their contracts."""
+"""`brink plugins`: which plug-ins are registered, their parameters, and whether they fulfil their contracts."""
 
+import json
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Final
 
@@ -8,7 +9,15 @@ import typer
 from brink.cli.options import AsJson, console, plain_table, print_json
 from brink.search.errors import ConfigError, UnsupportedSpace
 from brink.search.testing import check_algorithm, example_spaces
-from brink.server.problems.catalogue import ALGORITHMS, PROBLEMS, make_problem
+from brink.server.errors import nearest
+from brink.server.findings.kind import reported_by
+from brink.server.problems.catalogue import (
+    ALGORITHMS,
+    PROBLEMS,
+    describe_algorithm,
+    describe_problem,
+    make_problem,
+)
 from brink.server.problems.testing import check_problem
 from brink.sim.catalogue import (
     GROUPS,
@@ -27,7 +36,10 @@ _BUDGET: Final = 130
 """Simulations of the campaigns that check an algorithm: enough for a few generations of most."""
 _NO_CHECKS: Final = "Brink has no further checks of this kind"
 
-plugins = typer.Typer(help="List plug-ins, and check that they fulfil their contracts.", no_args_is_help=True)
+plugins = typer.Typer(
+    help="List plug-ins, show their parameters, and check that they fulfil their contracts.",
+    no_args_is_help=True,
+)
 
 
 @plugins.command("list")
@@ -46,6 +58,86 @@ def list_(as_json: AsJson = False) -> None:
         return
     rows = [(one["kind"] or "", one["id"] or "", (one["source"] or "Brink")[:SHOWN_DIGITS]) for one in found]
     console().print(plain_table("kind", "id", "source", rows=rows))
+
+
+@plugins.command()
+def show(
+    plugin_id: Annotated[str, typer.Argument(metavar="ID", help="A problem or an algorithm.")],
+    as_json: AsJson = False,
+) -> None:
+    """Show the parameters of a problem or algorithm, and the search space that the problem has by default.
+
+    Example: brink plugins show edge@2
+    """
+    if plugin_id in plugin_ids(ALGORITHMS):
+        described = describe_algorithm(plugin_id)
+    elif plugin_id in plugin_ids(PROBLEMS):
+        described = describe_problem(plugin_id, reported_by)
+    else:
+        similar = nearest(plugin_id, [*plugin_ids(PROBLEMS), *plugin_ids(ALGORITHMS)])
+        meant = f"; did you mean {similar!r}?" if similar else ""
+        raise typer.BadParameter(f"no problem or algorithm {plugin_id!r}{meant}", param_hint="ID")
+    if as_json:
+        print_json(described)
+        return
+    screen = console()
+    screen.print(f"{plugin_id}: {described['summary']}", soft_wrap=True)
+    params = described["params"]["properties"]
+    rows = [
+        (name, _compact(one.get("default")), _allowed(one), one.get("description", ""))
+        for name, one in params.items()
+    ]
+    _print_folded("parameter", "default", "values", "meaning", rows=rows)
+    if space := described.get("space"):
+        rows = [
+            (f"{component['name']}.{one['name']}", _allowed(one), one.get("unit", ""), _resolution(one))
+            for component in space["components"]
+            for one in component["parameters"]
+        ]
+        _print_folded("searched", "values", "unit", "resolution", rows=rows)
+
+
+def _print_folded(*columns: str, rows: list[tuple[str, ...]]) -> None:
+    table = plain_table(*columns, rows=rows)
+    for column in table.columns:
+        column.overflow = "fold"
+    console().print("", table)
+
+
+def _allowed(described: Mapping[str, Any]) -> str:
+    """Return the values that a parameter may have, from its JSON schema or its description in a space."""
+    choices = (
+        described.get("enum")
+        or described.get("choices")
+        or [o["value"] for o in described.get("options", ())]
+    )
+    if choices:
+        return ", ".join(str(choice) for choice in choices)
+    least, greatest = (
+        next((described[key] for key in keys if key in described), None)
+        for keys in (("minimum", "low", "exclusiveMinimum"), ("maximum", "high", "exclusiveMaximum"))
+    )
+    if least is None and greatest is None:
+        return str(described.get("type", ""))
+    low = "" if least is None else f"{'above ' if 'exclusiveMinimum' in described else ''}{_compact(least)}"
+    high = (
+        ""
+        if greatest is None
+        else f"{'below ' if 'exclusiveMaximum' in described else ''}{_compact(greatest)}"
+    )
+    return f"{low} to {high}" if low and high else (low and f"at least {low}") or f"at most {high}"
+
+
+def _resolution(described: Mapping[str, Any]) -> str:
+    """Return the resolution of a searched parameter; one that depends on a category names it."""
+    resolution = described.get("resolution")
+    if isinstance(resolution, Mapping):
+        return f"by {resolution['label']}"
+    return "" if resolution is None else _compact(resolution)
+
+
+def _compact(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else json.dumps(value, ensure_ascii=False).strip('"')
 
 
 @plugins.command()

@@ -350,7 +350,7 @@ def describe_problems(reported: Callable[[Problem], list[str]]) -> list[dict[str
     Args:
         reported: Returns the kinds of findings that every campaign on a problem has.
     """
-    return _described(PROBLEMS, partial(_describe_problem, reported=reported))
+    return _described(PROBLEMS, partial(describe_problem, reported=reported))
 
 
 def describe_algorithms() -> list[dict[str, Any]]:
@@ -358,7 +358,7 @@ def describe_algorithms() -> list[dict[str, Any]]:
 
     Algorithms of users are left out, with a line in the log, if they cannot be described.
     """
-    return _described(ALGORITHMS, _describe_algorithm)
+    return _described(ALGORITHMS, describe_algorithm)
 
 
 def _described(group: str, describe: Callable[[str], dict[str, Any]]) -> list[dict[str, Any]]:
@@ -374,7 +374,8 @@ def _described(group: str, describe: Callable[[str], dict[str, Any]]) -> list[di
     return described
 
 
-def _describe_problem(problem_id: str, reported: Callable[[Problem], list[str]]) -> dict[str, Any]:
+def describe_problem(problem_id: str, reported: Callable[[Problem], list[str]]) -> dict[str, Any]:
+    """Describe one problem, as `describe_problems` does."""
     kind = problem_type(problem_id)
     problem = make_problem(problem_id, {})
     finds = reported(problem)
@@ -393,7 +394,8 @@ def _describe_problem(problem_id: str, reported: Callable[[Problem], list[str]])
     }
 
 
-def _describe_algorithm(algorithm_id: str) -> dict[str, Any]:
+def describe_algorithm(algorithm_id: str) -> dict[str, Any]:
+    """Describe one algorithm, as `describe_algorithms` does."""
     algorithm = make_algorithm(algorithm_id)
     schema = params_model(algorithm.config_type).model_json_schema()
     for name in getattr(algorithm.config_type, "unused", ()):

@@ -58,7 +58,7 @@ class Stage(IntEnum):
     REDUCE = 1
     """Which errors does the verdict take?"""
     MOVE = 2
-    """Which unit makes it safe?"""
+    """Which unit changes the verdict?"""
     SPAN = 3
     """Is it safe again further on, and where between the two ends does it turn?"""
     BRACKET = 4
@@ -74,7 +74,7 @@ class Stage(IntEnum):
     ALONE = 9
     """Ended: the scenario has the same verdict without any error."""
     FIXED = 10
-    """Ended: no single unit that was tried makes it safe."""
+    """Ended: no single unit that was tried changes the verdict."""
     GIVEN_UP = 11
     """Ended: too many simulations failed."""
     READY = 12
@@ -105,13 +105,10 @@ class ThresholdConfig(LedgerConfig):
     chance: float = setting(
         0.25, help="Share of these that are drawn at random, whatever the surrogate proposes.", ge=0, le=1
     )
-    moves: int = setting(
-        6, help="Units that are moved, each alone, until an unsafe solution is safe.", ge=1, le=100
-    )
+    moves: int = setting(6, help="Units that are moved, each alone, until the verdict changes.", ge=1, le=100)
     units: int = setting(
         3,
-        help="Units of an unsafe solution that are moved at a time; a threshold is looked for along each that "
-        "makes it safe.",
+        help="Units that are moved at a time; a threshold is looked for along each that changes the verdict.",
         ge=1,
         le=100,
     )

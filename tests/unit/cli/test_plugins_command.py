@@ -1,6 +1,7 @@
 """`brink plugins` lists plug-ins and checks them: a broken one of each kind is found."""
 
 import json
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -129,3 +130,25 @@ def test_plugins_are_listed_with_their_source() -> None:
 
 def test_an_unknown_plugin_is_wrong_usage() -> None:
     assert CliRunner().invoke(app, ["plugins", "check", "no-such@1"]).exit_code == 2
+    assert CliRunner().invoke(app, ["plugins", "show", "no-such@1"]).exit_code == 2
+    assert "did you mean 'edge@2'?" in CliRunner().invoke(app, ["plugins", "show", "edge@3"]).output
+
+
+@pytest.mark.parametrize("plugin_id", ["tolerance@1", "urban-errors@1", "gymnasium@1"])
+def test_every_parameter_is_shown_with_its_meaning(plugin_id: str) -> None:
+    """The documentation leaves these lists to the command."""
+    described = json.loads(CliRunner().invoke(app, ["plugins", "show", plugin_id, "--json"]).stdout)
+    lines = CliRunner().invoke(app, ["plugins", "show", plugin_id]).stdout.splitlines()
+    shown = {words[0]: len(words) for line in lines if (words := line.split())}
+    for name, parameter in described["params"]["properties"].items():
+        assert parameter["description"]
+        assert shown[name] >= 3
+    for component in (described.get("space") or {"components": []})["components"]:
+        assert {f"{component['name']}.{one['name']}" for one in component["parameters"]} <= set(shown)
+
+
+def test_ranges_defaults_and_resolutions_are_shown() -> None:
+    output = CliRunner().invoke(app, ["plugins", "show", "rate@1"]).stdout
+    assert re.search(r"first +0\.2 +above 0 to 1 +Share of the budget", output)
+    output = CliRunner().invoke(app, ["plugins", "show", "gymnasium@1"]).stdout
+    assert re.search(r"behaviour\.perturbation_1\.from_step +0 to 499 +steps +1\b", output)
