@@ -1,7 +1,7 @@
 """`brink plugins`: which plug-ins are registered, their parameters, and whether they fulfil their contracts."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Annotated, Any, Final
 
 import typer
@@ -97,7 +97,7 @@ def show(
         _print_folded("searched", "values", "unit", "resolution", rows=rows)
 
 
-def _print_folded(*columns: str, rows: list[tuple[str, ...]]) -> None:
+def _print_folded(*columns: str, rows: Iterable[Sequence[str]]) -> None:
     table = plain_table(*columns, rows=rows)
     for column in table.columns:
         column.overflow = "fold"
