@@ -41,7 +41,7 @@ CampaignLike: TypeAlias = "Campaign | CampaignBody | Mapping[str, Any] | str | P
 class Campaign:
     """A campaign: a problem, an algorithm and a budget.
 
-    docs/reference/problems.md lists problems, algorithms and their parameters.
+    docs/reference/problems.md lists problems and algorithms, ``brink plugins show ID`` the parameters of each.
 
     Attributes:
         problem: Id of the problem, such as ``urban-injected@1``.
