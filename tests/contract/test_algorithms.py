@@ -13,7 +13,6 @@ from brink.search.algorithms.random_search import RandomSearch, RandomSearchConf
 from brink.search.document import Document
 from brink.search.errors import DocumentError, UnsupportedSpace
 from brink.search.odd import limited
-from brink.search.problems import MTQ_SPACE, ONEMAX_SPACE
 from brink.search.slots import Slots
 from brink.search.space import Categorical, Component, Dormant, Real, SearchSpace
 from brink.search.testing import ContractBroken, check_algorithm, example_spaces
@@ -56,8 +55,6 @@ ERRORS = SearchSpace(
 )
 SPACES = {
     **example_spaces(),
-    "mtq": MTQ_SPACE,
-    "onemax": ONEMAX_SPACE,
     "errors": ERRORS,
     "mixed within an ODD": limited(
         example_spaces()["mixed"],
@@ -136,7 +133,7 @@ LONG = [
         ("mumoea@1", "mosat@1", EDGE, THRESHOLDS, NEAREST, "deepjanus@1", "straddle@1", "bsv@1"), ("traffic",)
     ),
     *itertools.product((EDGE, THRESHOLDS, SHARPEN), ("traffic within an ODD",)),
-    *itertools.product((EDGE,), ("mixed", "errors", "numeric")),
+    *itertools.product((EDGE,), ("mixed", "numeric")),
     (SHARPEN, "traffic"),
 ]
 """Combinations that take seconds; NSGA-II, on which two of them build, and edge@1 on other spaces run every time."""
@@ -147,6 +144,7 @@ LONG = [
     [
         pytest.param(*pair, marks=pytest.mark.long("takes seconds") if pair in LONG else ())
         for pair in itertools.product(plugin_ids(GROUP), SPACES)
+        if pair[1] != "errors" or pair[0] == TOLERANCE  # others have "mixed" and "declared"
     ],
 )
 @pytest.mark.usefixtures("few_trees", "small_pools")
