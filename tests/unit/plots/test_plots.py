@@ -287,11 +287,8 @@ def _all_equal() -> CampaignFigures:
     "inputs",
     [
         pytest.param(_few(0, unsafe=False), id="none"),
-        pytest.param(_few(1, unsafe=False), id="one safe", marks=FURTHER),
         pytest.param(_few(1, unsafe=True), id="one unsafe", marks=FURTHER),
-        pytest.param(_few(2, unsafe=True), id="two", marks=FURTHER),
         pytest.param(_few(120, unsafe=False), id="all safe", marks=FURTHER),
-        pytest.param(_few(120, unsafe=True), id="all unsafe", marks=FURTHER),
         pytest.param(mixed_campaign(40, null_share=1.0), id="all inactive", marks=FURTHER),
         pytest.param(_all_equal(), id="all equal"),
     ],

@@ -160,7 +160,7 @@ def watch(number: int, fidelity: str) -> Motion:
 # Before brink-drive@3, people jumped to the kerb in most of these episodes, and the lead vehicle skidded in 0, 72
 # and 154.
 @pytest.mark.parametrize(
-    "number", mostly_long([*range(60), 72, 154], [0, 2, 9, 72, 154], "further random candidates")
+    "number", mostly_long([*range(24), 72, 154], [0, 2, 9, 72, 154], "further random candidates")
 )
 def test_road_users_move_as_fast_as_they_can_at_most(number: int) -> None:
     motion = watch(number, BICYCLE)
@@ -168,7 +168,7 @@ def test_road_users_move_as_fast_as_they_can_at_most(number: int) -> None:
 
 
 # The car on wheels once rolled backwards in 14 and 15.
-@pytest.mark.parametrize("number", mostly_long([*range(20)], [2, 14], "further random candidates"))
+@pytest.mark.parametrize("number", mostly_long([*range(6), 14, 15], [2, 14], "further random candidates"))
 def test_an_ego_on_wheels_moves_as_friction_allows(number: int) -> None:
     motion = watch(number, WHEELS)
     assert (motion.jumps, motion.skids, motion.jerks) == ([], [], [])
