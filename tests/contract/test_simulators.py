@@ -164,6 +164,20 @@ def test_functions_pass_the_contract_suite(tmp_path: Path) -> None:
     )
 
 
+def test_a_bool_is_no_robustness(tmp_path: Path) -> None:
+    file, digest = write_function(lambda x: x > 0.5, tmp_path)
+    spec = EpisodeSpec(
+        simulator=simulator_of(digest),
+        scenario={"all": {"x": 1.0}},
+        behaviour={},
+        requirements=(FUNCTION,),
+        seed=0,
+        duration_s=1.0,
+    )
+    with pytest.raises(InvalidEpisode, match="expected a finite number, negative if"):
+        FunctionSimulator(file).run(spec)
+
+
 class Sound:
     """A simulator that keeps the contract."""
 

@@ -293,15 +293,3 @@ def test_twins_have_the_same_methods_with_the_same_parameters(first: type, secon
     assert sync.keys() == twins.keys()
     for name, signature in sync.items():
         assert list(signature.parameters) == list(twins[name].parameters), name
-
-
-def test_a_bool_is_no_robustness(folder: Path) -> None:
-    with pytest.raises(CampaignUnfinished, match="expected a finite number, negative if"):
-        brink.search(
-            lambda x: x > 0.5,
-            {"x": (0.0, 1.0)},
-            algorithm="random@1",
-            simulations=20,
-            workers=1,
-            progress=False,
-        )
