@@ -18,7 +18,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
 from brink.sim.commonroad.recording import (
     WALKWAYS,
@@ -372,6 +371,8 @@ def _middle(
 
 def _line(points: FloatArray) -> ReferenceLine:
     """Return a smooth line of arcs along points."""
+    from scipy.signal import savgol_filter  # slow to import, and every simulation process imports this module
+
     length_m = _length_m(points)
     if length_m < _SHORTEST_M:
         raise RecordingError(f"expected a route of at least {_SHORTEST_M:g} m ahead of the ego")

@@ -21,7 +21,7 @@ importlib.util.find_spec = lambda name, *more: None if name in absent else found
 sys.modules.update(dict.fromkeys(absent))
 from brink.worker.child import import_simulators
 hello = import_simulators()
-print(sorted(hello.lacking.items()), hello.left_out)
+print(sorted(hello.lacking.items()), hello.left_out, {"scipy"} & set(sys.modules))
 """
 
 LARGE = ("torch", "onnx", "ray", "libsumo")
@@ -61,11 +61,11 @@ def test_tests_outside_files_for_torch_import_no_large_extra_when_they_are_colle
     assert [file for file in files if imports.search(file.read_text(encoding="utf-8"))] == []
 
 
-def test_exactly_the_simulators_of_the_missing_extras_cannot_run() -> None:
+def test_exactly_the_simulators_of_the_missing_extras_cannot_run_and_the_others_load_no_scipy() -> None:
     absent = ",".join(module for modules in MODULES.values() for module in modules)
     command = [sys.executable, "-c", WITHOUT, absent]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
-    assert done.stdout.strip().splitlines()[-1] == f"{sorted(EXTRAS.items())} {{}}"
+    assert done.stdout.strip().splitlines()[-1] == f"{sorted(EXTRAS.items())} {{}} set()"
 
 
 def test_the_extras_of_simulators_exist() -> None:
