@@ -23,7 +23,7 @@ def sqlite_engines(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) 
     engines.dispose()
 
 
-@pytest.mark.parametrize("histories", [4, pytest.param(200, marks=pytest.mark.long("tries many histories"))])
+@pytest.mark.parametrize("histories", [4, pytest.param(120, marks=pytest.mark.long("tries many histories"))])
 def test_queue_agrees_with_its_model(engines: Engines, histories: int) -> None:
     search(engines, histories=histories)
 
@@ -40,8 +40,8 @@ def test_recorded_history_reveals_its_fault(sqlite_engines: Engines, name: str) 
         replay(sqlite_engines, recorded()[name])
 
 
-@pytest.mark.long("searches for a history that reveals each fault")
-@pytest.mark.parametrize("name", [name for name in FAULTS if name not in RARE])
-def test_search_reveals_every_fault_that_is_not_rare(sqlite_engines: Engines, name: str) -> None:
+@pytest.mark.long("searches for histories that reveal faults; recorded ones reveal each of them every time")
+@pytest.mark.parametrize("name", [name for name in FAULTS if name not in RARE][::3])
+def test_search_reveals_faults_that_are_not_rare(sqlite_engines: Engines, name: str) -> None:
     with injected(FAULTS[name]), pytest.raises(NOTICED):
         search(sqlite_engines, histories=HISTORIES, shrink=False)

@@ -48,6 +48,7 @@ def measured(folder: Path, *sets: str) -> bench_guard.Measured:
     ).measure()
 
 
+@pytest.mark.long("searches with every method of the comparison")
 def test_every_training_set_and_sensor_is_judged_on_the_same_fresh_drives(
     made_up: list[str], tmp_path: Path
 ) -> None:

@@ -8,6 +8,7 @@ from benchmarks.measurement import percentile
 from benchmarks.queue import SQLITE, _BrinkQueue
 
 
+@pytest.mark.long("starts a coordinator and its clients")
 def test_clients_wait_for_the_first_jobs_and_need_no_further_ones(tmp_path: Path) -> None:
     with _BrinkQueue(SQLITE, f"sqlite:///{tmp_path}/queue.db", tmp_path) as queue:
         few = queue.throughput(workers=2, batch=8, jobs=1)

@@ -74,14 +74,24 @@ def test_csv_writes_values_as_before() -> None:
     assert csv_text([[-1.5, -3, None, True, "a,b", "it's"]]) == '-1.5,-3,,True,"a,b",it\'s\n'
 
 
+WRITERS = {
+    **dict.fromkeys(("csv.writer", "csv.DictWriter"), "csv"),
+    **dict.fromkeys(
+        ("print", "Console", "stream.write", "typer.echo", "typer.secho", "click.echo"), "terminal"
+    ),
+    **dict.fromkeys(("rich.print", "sys.stdout.write", "sys.stderr.write"), "terminal"),
+}
+"""What a call writes to, by the name of the function."""
+ATTRIBUTES = {"to_csv", *(name.rpartition(".")[2] for name in WRITERS)}
+
+
 def _written(node: ast.Call) -> str:
     """Return what a call writes to: ``csv``, ``terminal``, or nothing."""
-    name = ast.unparse(node.func)
-    if name in ("csv.writer", "csv.DictWriter") or name.endswith(".to_csv"):
-        return "csv"
-    if name in ("print", "Console", "stream.write", "typer.echo", "typer.secho", "click.echo", "rich.print"):
-        return "terminal"
-    return "terminal" if name in ("sys.stdout.write", "sys.stderr.write") else ""
+    if isinstance(node.func, ast.Name):
+        return WRITERS.get(node.func.id, "")
+    if not isinstance(node.func, ast.Attribute) or node.func.attr not in ATTRIBUTES:
+        return ""
+    return "csv" if node.func.attr == "to_csv" else WRITERS.get(ast.unparse(node.func), "")
 
 
 def test_nobody_writes_csv_or_to_the_terminal_by_another_way() -> None:

@@ -86,7 +86,10 @@ def known_of(archive: Archive) -> Known:
     )
 
 
-LONG = pytest.mark.long("takes seconds; other amounts of what is known run every time")
+LONG = pytest.mark.long("takes seconds; another amount of what is known runs every time")
+AMOUNTS = {name: [(40, 0), (0, 12), (40, 12), (3, 1)] for name in ALGORITHMS}
+AMOUNTS |= {"edge@1": [(0, 12), (40, 12)], "edge@2": [(40, 0), (40, 12)]}
+"""Numbers of known results and points."""
 
 
 @pytest.mark.usefixtures("few_trees")
@@ -96,8 +99,8 @@ LONG = pytest.mark.long("takes seconds; other amounts of what is known run every
         pytest.param(
             name, results, points, marks=LONG if name in REPEAT and (results, points) != (40, 12) else ()
         )
-        for name in ALGORITHMS
-        for results, points in [(40, 0), (0, 12), (40, 12), (3, 1)]
+        for name, amounts in AMOUNTS.items()
+        for results, points in amounts
     ],
 )
 def test_a_warm_search_keeps_the_contract(name: str, results: int, points: int) -> None:
