@@ -34,6 +34,8 @@ from brink.worker.driving_check import check_driving_system
 
 _BUDGET: Final = 130
 """Simulations of the campaigns that check an algorithm: enough for a few generations of most."""
+_SHOWN_DEFAULT: Final = 80
+"""Characters of a default that are shown: that of `commonroad@1` is a whole recording."""
 _NO_CHECKS: Final = "Brink has no further checks of this kind"
 
 plugins = typer.Typer(
@@ -84,7 +86,7 @@ def show(
     screen.print(f"{plugin_id}: {described['summary']}", soft_wrap=True)
     params = described["params"]["properties"]
     rows = [
-        (name, _compact(one.get("default")), _allowed(one), one.get("description", ""))
+        (name, _compact(one.get("default"))[:_SHOWN_DEFAULT], _allowed(one), one.get("description", ""))
         for name, one in params.items()
     ]
     _print_folded("parameter", "default", "values", "meaning", rows=rows)
@@ -94,7 +96,7 @@ def show(
             for component in space["components"]
             for one in component["parameters"]
         ]
-        _print_folded("searched", "values", "unit", "resolution", rows=rows)
+        _print_folded("searched by default", "values", "unit", "resolution", rows=rows)
 
 
 def _print_folded(*columns: str, rows: Iterable[Sequence[str]]) -> None:

@@ -152,3 +152,8 @@ def test_ranges_defaults_and_resolutions_are_shown() -> None:
     assert re.search(r"first +0\.2 +above 0 to 1 +Share of the budget", output)
     output = CliRunner().invoke(app, ["plugins", "show", "gymnasium@1"]).stdout
     assert re.search(r"behaviour\.perturbation_1\.from_step +0 to 499 +steps +1\b", output)
+
+
+def test_a_recording_as_a_default_is_cut() -> None:
+    shown = CliRunner().invoke(app, ["plugins", "show", "commonroad@1"]).stdout
+    assert 1 <= len(re.findall(r"[A-Za-z0-9+/]{40,}", shown)) <= 2
