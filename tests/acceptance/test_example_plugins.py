@@ -18,7 +18,7 @@ PLUGINS = Path(__file__).parents[2] / "examples" / "plugins"
 @pytest.mark.parametrize(
     ("plugin", "simulations"),
     mostly_long(
-        [("brake_assist", 120), ("gentle", 60), ("wide_gap", 60), ("edge_walk", 40)], [], "runs a campaign"
+        [("brake_assist", 80), ("gentle", 40), ("wide_gap", 40), ("edge_walk", 40)], [], "runs a campaign"
     ),
 )
 def test_example_plugin_runs_as_a_campaign(plugin: str, simulations: int, tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def run_campaign(
     return {**summary, "said": run.stderr}
 
 
-@pytest.mark.long("runs three campaigns, each in a process of its own")
+@pytest.mark.long("runs two campaigns, each in a process of its own")
 def test_an_edited_plugin_is_simulated_again_under_the_same_id(tmp_path: Path) -> None:
     """Seen before: 80 of 80 results from the cache, 25% unsafe where 14% was true."""
     source = (PLUGINS / "brake_assist.py").read_text(encoding="utf-8")
@@ -92,8 +92,6 @@ def test_an_edited_plugin_is_simulated_again_under_the_same_id(tmp_path: Path) -
         after["said"].split()
     )
     assert after["unsafe"] < before["unsafe"]
-    again = run(source, "--new")
-    assert again["digest"] == before["digest"]
 
 
 @pytest.mark.long("checks plug-ins in a process of its own")
