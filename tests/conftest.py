@@ -15,7 +15,7 @@ from hypothesis import settings
 from support import problems
 from support.api import coordinator, listening_coordinator
 from support.databases import (
-    SQLITE_THEN_POSTGRES,
+    BACKENDS,
     Databases,
     PostgresDatabases,
     databases_for,
@@ -167,15 +167,15 @@ def sqlite_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return sqlite_template(tmp_path_factory.mktemp("sqlite"))
 
 
-@pytest.fixture(params=SQLITE_THEN_POSTGRES)
+@pytest.fixture(params=BACKENDS[:1])
 def databases(request: pytest.FixtureRequest, tmp_path: Path) -> Databases:
-    """Databases of one backend."""
+    """Databases on SQLite, unless a test asks for Postgres too."""
     return databases_for(request, tmp_path)
 
 
-@pytest.fixture(scope="module", params=SQLITE_THEN_POSTGRES)
+@pytest.fixture(scope="module", params=BACKENDS[:1])
 def module_databases(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Databases:
-    """Databases of one backend that all tests of a file share."""
+    """Databases that all tests of a file share, on SQLite unless a test asks for Postgres too."""
     return databases_for(request, tmp_path_factory.mktemp("databases"))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 from PIL import Image
-from support.databases import Databases, on_sqlite
+from support.databases import Databases
 from support.processes import brink
 
 # About four drives in ten are unsafe; with neighbourhoods that hold everything all of them lie on that boundary.
@@ -22,7 +22,6 @@ BODY: dict[str, Any] = {
 }
 
 
-@on_sqlite
 @pytest.mark.long("runs campaigns of real simulations")
 def test_a_boundary_is_repeated_and_handed_on(databases: Databases, tmp_path: Path) -> None:
     file = tmp_path / "campaign.yaml"

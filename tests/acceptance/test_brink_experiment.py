@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 from support.api import ball
-from support.databases import Databases, on_sqlite
+from support.databases import Databases
 from support.processes import BRINK, TOY, Program, brink
 from typer.testing import CliRunner
 
@@ -41,7 +41,6 @@ def found(folder: Path) -> tuple[dict[str, Any], str]:
     return {**json.loads(written_results), "created_at": ""}, report
 
 
-@on_sqlite  # tests of determinism kill and restart campaigns on both databases
 @pytest.mark.long("runs an experiment twice")
 def test_killed_experiment_resumes(databases: Databases, tmp_path: Path, small_problems: None) -> None:
     file = written(tmp_path)

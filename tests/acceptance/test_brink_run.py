@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 from support.api import ball, undisturbed_digest
-from support.databases import Databases, on_sqlite
+from support.databases import Databases, sqlite_then_postgres
 from support.processes import BRINK, TOY, Program, brink, site
 from typer.testing import CliRunner
 
@@ -38,6 +38,7 @@ KNOWN_BOUNDARY: dict[str, Any] = {
 }
 
 
+@sqlite_then_postgres
 def test_a_campaign_file_becomes_results(
     databases: Databases, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,7 +86,6 @@ def test_a_run_beside_a_coordinator_on_the_same_file_changes_neither(tmp_path: P
     assert checked.returncode == 0, checked.stdout
 
 
-@on_sqlite  # tests of determinism stop and continue campaigns on both databases
 @pytest.mark.long("stops a campaign twice")
 def test_a_stopped_run_reaches_the_same_end(
     databases: Databases, tmp_path: Path, small_problems: None

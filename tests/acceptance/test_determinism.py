@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from support.api import ball, undisturbed_digest
-from support.databases import Databases, few_on_postgres
+from support.databases import Databases, few_on_postgres, sqlite_then_postgres
 from support.processes import TOY, Site, site
 
 THRESHOLDS = {"id": "edge@2", "params": {"generation_size": 6, "in_flight": 3, "trials": 18}}
@@ -49,6 +49,7 @@ def urban_digests() -> dict[str, str]:
     return {}
 
 
+@sqlite_then_postgres
 @pytest.mark.long("runs a campaign several times")
 def test_worker_count_and_database(
     databases: Databases, tmp_path: Path, urban_digests: dict[str, str]

@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import pytest
 from support.api import ball, eventually, undisturbed_digest
-from support.databases import Databases, on_sqlite
+from support.databases import Databases
 from support.processes import TOY, Program, Site, brink, site
 
 QUICK = {**TOY, "BRINK_RETRY_BACKOFF_S": "0.05", "BRINK_SWEEP_S": "0.1"}
@@ -18,8 +18,6 @@ WORDS = {
     "out-of-memory": ("out-of-memory", "MemoryError"),
     "exit": ("crashed", "exited with status 3"),
 }
-
-pytestmark = on_sqlite  # tests of the queue retry and bury jobs on both databases
 
 
 def campaign(fault: str, **params: Any) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-from support.databases import Databases
+from support.databases import Databases, sqlite_then_postgres
 from support.processes import site
 from typer.testing import CliRunner
 
@@ -22,6 +22,7 @@ CAMPAIGN = {
 }
 
 
+@sqlite_then_postgres
 def test_the_life_of_a_job(databases: Databases, tmp_path: Path) -> None:
     assert WIRE_VERSION == 1
     with databases.database("brink", migrated=False) as url, site(tmp_path, url) as running:

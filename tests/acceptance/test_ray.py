@@ -13,13 +13,13 @@ from typing import Any
 import httpx
 import pytest
 from support.api import ball, eventually, undisturbed_digest
-from support.databases import Databases, on_sqlite
+from support.databases import Databases
 from support.processes import BRINK, PATIENCE_S, TOY, Program, Site, site
 
 RAY = str(Path(sys.executable).with_name("ray"))
 QUICK = {**TOY, "BRINK_RETRY_BACKOFF_S": "0.05", "BRINK_SWEEP_S": "0.1"}
 
-pytestmark = [pytest.mark.long("needs Ray"), on_sqlite]
+pytestmark = pytest.mark.long("needs Ray")
 
 
 @pytest.fixture

@@ -28,14 +28,16 @@ from brink.server.db.upgrade import upgrade
 URL_VARIABLE = "TEST_DATABASE_URL"
 BACKENDS = ("sqlite", "postgres")
 OTHER = pytest.mark.long("the other database")
-SQLITE_THEN_POSTGRES = ("sqlite", pytest.param("postgres", marks=OTHER))
-"""What the `databases` fixtures run on: on SQLite always, on Postgres with the long tests."""
+_SQLITE_THEN_POSTGRES = ("sqlite", pytest.param("postgres", marks=OTHER))
 
 on_sqlite = pytest.mark.parametrize("databases", BACKENDS[:1], indirect=True)
-module_on_sqlite = pytest.mark.parametrize("module_databases", BACKENDS[:1], indirect=True)
+"""For tests in tests/integration/database, which run on both unless they say otherwise."""
 on_postgres = pytest.mark.parametrize("databases", BACKENDS[1:], indirect=True)
-sqlite_then_postgres = pytest.mark.parametrize("databases", SQLITE_THEN_POSTGRES, indirect=True)
-"""For tests in tests/integration/database of what no lock and no dialect decides."""
+sqlite_then_postgres = pytest.mark.parametrize("databases", _SQLITE_THEN_POSTGRES, indirect=True)
+module_sqlite_then_postgres = pytest.mark.parametrize(
+    "module_databases", _SQLITE_THEN_POSTGRES, indirect=True
+)
+"""For the tests that together run every statement on Postgres, too, in `make test-all`."""
 
 
 def few_on_postgres(

@@ -87,7 +87,7 @@ def two(engines: Engines, small_pieces: None) -> Iterator[Coordinators]:
     made.close()
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_a_large_submission_is_stored_in_pieces(client: httpx.Client, inserted: list[int]) -> None:
     params = {"generation_size": 700, "in_flight": 3}
     campaign = submit(client, ball(simulations=1_600, algorithm={"id": "random@1", "params": params}))
@@ -140,7 +140,7 @@ def test_a_coordinator_that_stops_between_pieces_reports_no_error(
     assert not [one.getMessage() for one in caplog.records if one.levelno >= logging.WARNING]
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_nothing_is_told_before_everything_in_flight_is_stored(two: Coordinators) -> None:
     while stored(two) < 100:
         two.simulate()
@@ -170,7 +170,7 @@ def test_two_coordinators_store_each_solution_once(two: Coordinators) -> None:
     assert two.digest() == undisturbed_digest(BODIES["random"])
 
 
-@sqlite_then_postgres
+@on_sqlite
 @pytest.mark.parametrize("status", [CampaignStatus.PAUSED, CampaignStatus.CANCELLED])
 def test_nothing_more_is_stored_of_a_campaign_that_was_stopped(
     two: Coordinators, status: CampaignStatus
@@ -188,7 +188,7 @@ def test_nothing_more_is_stored_of_a_campaign_that_was_stopped(
     assert two.digest() == undisturbed_digest(BODIES["random"])
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_results_of_a_large_generation_are_written_before_its_step_but_for_failures(
     client: httpx.Client, engines: Engines, small_pieces: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -270,7 +270,7 @@ def test_results_that_were_written_before_a_step_that_was_never_taken_are_read_b
     assert expect(client.get(f"{API}/{campaign}/solutions", params={"unsafe": True}))["solutions"] == []
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_a_campaign_with_too_much_in_flight_is_refused_with_both_numbers(client: httpx.Client) -> None:
     params = {"generation_size": 10_000, "in_flight": 20}
     body = ball(simulations=10_000_000, algorithm={"id": "random@1", "params": params})
@@ -287,7 +287,7 @@ def test_a_campaign_with_too_much_in_flight_is_refused_with_both_numbers(client:
     assert "got up to 100,000 in one generation" in refused["message"]
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_an_experiment_is_stored_in_pieces(
     client: httpx.Client, engines: Engines, small_pieces: None, inserted: list[int]
 ) -> None:

@@ -21,7 +21,7 @@ from support.api import (
     undisturbed_digest,
 )
 from support.coordinators import Coordinators
-from support.databases import few_on_postgres, on_postgres, on_sqlite, sqlite_then_postgres
+from support.databases import few_on_postgres, on_postgres, on_sqlite
 from support.llm_endpoint import serving
 from support.traffic import driven, seeded
 
@@ -129,7 +129,7 @@ def test_two_coordinators_write_each_step_once(two: Coordinators) -> None:
     assert two.digest() == undisturbed_digest(ball())
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_coordinators_that_take_turns_find_the_same(two: Coordinators) -> None:
     turn = 0
     while two.campaign.status is CampaignStatus.RUNNING:
@@ -147,7 +147,7 @@ def overlapping(engines: Engines) -> Iterator[Coordinators]:
     made.close()
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_generations_in_flight_are_told_in_the_order_of_asking(overlapping: Coordinators) -> None:
     jobs: list[LeasedJob] = []
     while leased := overlapping.lease():
@@ -203,7 +203,7 @@ def steps_worth_leaving(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(others, "WORTH_LEAVING_S", 0.0)
 
 
-@sqlite_then_postgres
+@on_sqlite
 @pytest.mark.usefixtures("steps_worth_leaving")
 def test_a_due_step_is_left_for_a_while_to_the_coordinator_that_has_the_search(two: Coordinators) -> None:
     clock, first = Clock(), two.steppers[0]
@@ -224,7 +224,7 @@ def test_a_due_step_is_left_for_a_while_to_the_coordinator_that_has_the_search(t
     assert two.digest() == undisturbed_digest(ball())
 
 
-@sqlite_then_postgres
+@on_sqlite
 @pytest.mark.usefixtures("steps_worth_leaving")
 def test_a_step_is_left_for_half_a_minute_at_most(two: Coordinators) -> None:
     clock = Clock()
@@ -240,7 +240,7 @@ def test_a_step_is_left_for_half_a_minute_at_most(two: Coordinators) -> None:
     assert second.advance("c0ffee")
 
 
-@sqlite_then_postgres
+@on_sqlite
 @pytest.mark.usefixtures("steps_worth_leaving")
 def test_a_coordinator_that_knows_of_no_other_takes_all_steps_at_once(two: Coordinators) -> None:
     two.simulate()
@@ -253,7 +253,7 @@ def test_a_short_step_is_not_left_to_others_that_cannot_be_told(two: Coordinator
     assert stepper_beside(two, Clock()).advance("c0ffee")
 
 
-@sqlite_then_postgres
+@on_sqlite
 @pytest.mark.usefixtures("steps_worth_leaving")
 def test_a_coordinator_that_takes_over_takes_the_next_step(two: Coordinators) -> None:
     second = stepper_beside(two, Clock())
@@ -262,7 +262,7 @@ def test_a_coordinator_that_takes_over_takes_the_next_step(two: Coordinators) ->
     assert second.advance("c0ffee")
 
 
-@sqlite_then_postgres
+@on_sqlite
 @pytest.mark.usefixtures("steps_worth_leaving")
 def test_a_step_that_was_taken_over_but_never_came_is_forgotten_with_its_campaign(two: Coordinators) -> None:
     second = stepper_beside(two, Clock())
@@ -331,7 +331,7 @@ def waiting(engines: Engines) -> Iterator[Coordinators]:
         made.close()
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_seeds_that_another_received_are_shared(
     waiting: Coordinators, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -353,7 +353,7 @@ def test_seeds_that_another_received_are_shared(
     assert waiting.campaign.generation == 1
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_whoever_still_waits_for_seeds_that_another_had_goes_on_with_those(waiting: Coordinators) -> None:
     first, second = waiting.steppers
     waiting.seeds[1].says = None
@@ -393,7 +393,7 @@ def test_one_of_two_may_ask_for_seeds(engines: Engines, waiting: Coordinators) -
         assert not claim(connection, "nobody", "first", 60.0), "there is no such campaign"
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_a_step_on_a_paused_campaign_is_not_written(
     two: Coordinators, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -411,7 +411,7 @@ def test_a_step_on_a_paused_campaign_is_not_written(
     assert count == 0
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_losing_the_database_ends_no_campaign(two: Coordinators, monkeypatch: pytest.MonkeyPatch) -> None:
     two.simulate()
 
@@ -448,7 +448,7 @@ def test_a_step_whose_connection_is_lost_ends_no_campaign(
     assert two.steppers[0].advance("c0ffee")
 
 
-@sqlite_then_postgres
+@on_sqlite
 @pytest.mark.parametrize(
     "passing",
     [
@@ -472,7 +472,7 @@ def test_a_busy_database_ends_nothing(
     assert two.steppers[1].advance("c0ffee")
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_internal_error_pauses_and_loses_nothing(two: Coordinators, monkeypatch: pytest.MonkeyPatch) -> None:
     two.simulate()
 
@@ -490,7 +490,7 @@ def test_internal_error_pauses_and_loses_nothing(two: Coordinators, monkeypatch:
     assert two.campaign.generation == 1
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_a_damaged_checkpoint_is_not_believed(two: Coordinators) -> None:
     two.simulate()
     assert two.steppers[0].advance("c0ffee")
@@ -502,7 +502,7 @@ def test_a_damaged_checkpoint_is_not_believed(two: Coordinators) -> None:
     assert "checkpoint of generation 1 is damaged" in two.campaign.status_reason
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_a_campaign_waits_for_its_missing_problem(two: Coordinators, monkeypatch: pytest.MonkeyPatch) -> None:
     two.simulate()
     with monkeypatch.context() as patched:
@@ -514,7 +514,7 @@ def test_a_campaign_waits_for_its_missing_problem(two: Coordinators, monkeypatch
     assert two.steppers[1].advance("c0ffee")
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_a_job_retried_during_the_step_is_awaited(two: Coordinators, monkeypatch: pytest.MonkeyPatch) -> None:
     first, *others = two.queue.lease(max_jobs=1)
     two.queue.report(Outcome(job=first.job, token=first.token, result=None, error="invalid: no", final=True))
@@ -536,7 +536,7 @@ def test_a_job_retried_during_the_step_is_awaited(two: Coordinators, monkeypatch
     assert (two.campaign.failed, two.campaign.evaluated) == (0, 20)
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_a_campaign_goes_on_only_with_the_candidates_that_it_asked_for(two: Coordinators) -> None:
     two.simulate()
     assert two.steppers[0].advance("c0ffee")
@@ -550,7 +550,7 @@ def test_a_campaign_goes_on_only_with_the_candidates_that_it_asked_for(two: Coor
     assert "has changed since" in two.campaign.status_reason
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_the_sweeper_takes_a_step_that_nobody_took(database_url: str, two: Coordinators) -> None:
     two.simulate()  # as if the coordinator had died between the last result and the step
     with coordinator(database_url) as client:

@@ -36,7 +36,7 @@ def listed(client: httpx.Client, **params: Any) -> list[str]:
     return names
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_tags_and_notes_are_submitted_and_shown_wherever_a_campaign_is(client: httpx.Client) -> None:
     campaign = submit(client, ball(tags=["Night", "release-4", "night"], notes="Too dark?\r\nAsk Ada."))
     found = expect(client.get(f"{API}/{campaign}"))
@@ -47,7 +47,7 @@ def test_tags_and_notes_are_submitted_and_shown_wherever_a_campaign_is(client: h
     assert expect(client.get("/api/v1/overview"))["tags"] == [["night", "release-4"]]
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_a_change_keeps_what_it_does_not_name_and_what_was_simulated(client: httpx.Client) -> None:
     campaign = submit(client, ball(tags=["a", "b"], notes="first"))
     digest = FakeWorker(client).work(campaign)["digest"]
@@ -61,7 +61,7 @@ def test_a_change_keeps_what_it_does_not_name_and_what_was_simulated(client: htt
     change(client, "none", 404, notes="x")
 
 
-@sqlite_then_postgres
+@on_sqlite
 def test_pollers_see_a_change_and_nothing_else(client: httpx.Client) -> None:
     campaign = submit(client, ball())
     urls = (f"{API}/{campaign}/progress", "/api/v1/overview")

@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 from support.api import FakeWorker, ball, expect, submit
-from support.databases import Databases, on_sqlite
+from support.databases import Databases, sqlite_then_postgres
 from support.manifests import container, evaluate, extras_of_images, scalings
 from support.processes import BRINK, Program, Site, environment, site
 
@@ -88,6 +88,7 @@ def test_jobs_of_paused_campaigns_start_no_workers(client: httpx.Client) -> None
     assert wanted(client) == {PLAIN: 0, VISION: 5}
 
 
+@sqlite_then_postgres
 def test_every_kind_of_worker_is_reported_even_without_jobs(client: httpx.Client) -> None:
     exposition = client.get("/metrics").text
     for kind in WORKER_KINDS:
@@ -111,7 +112,6 @@ def _start(running: Site, deployment: str, folder: Path) -> Program:
     return program
 
 
-@on_sqlite
 @pytest.mark.long("renders camera images")
 def test_workers_of_both_kinds_complete_a_mixed_queue(databases: Databases, tmp_path: Path) -> None:
     token = {"BRINK_TOKEN": f"token-{secrets.token_hex(12)}", "OMP_NUM_THREADS": "1"}

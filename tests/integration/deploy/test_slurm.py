@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from support.api import ball, eventually, undisturbed_digest
-from support.databases import Databases, on_sqlite
+from support.databases import Databases
 from support.processes import BRINK, ROOT, TOY, Program, Site, environment, site
 
 SCRIPT = ROOT / "deploy" / "slurm" / "brink-workers.sbatch"
@@ -57,7 +57,6 @@ def leased(running: Site) -> list[str]:
     return [line for line in lines if line.startswith("brink_jobs{") and 'status="leased"' in line]
 
 
-@on_sqlite
 @pytest.mark.long("runs a campaign")
 def test_task_runs_a_campaign_and_exits_cleanly(
     running: Site, token_file: Path, small_problems: None

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from support.api import listening_coordinator
 from support.circle import inside
-from support.databases import on_sqlite
 
 import brink
 from brink.api.client import CoordinatorError
@@ -255,7 +254,6 @@ def test_bad_campaigns_are_refused_before_anything_starts(folder: Path) -> None:
         brink.run({"name": "no budget", "problem": {"id": "mtq@1"}, "algorithm": {"id": "random@1"}})
 
 
-@on_sqlite
 def test_campaigns_of_a_coordinator_are_submitted_watched_and_fetched(database_url: str) -> None:
     with listening_coordinator(database_url) as http:
         client = brink.connect(str(http.base_url))

@@ -7,7 +7,6 @@ import httpx
 import numpy as np
 import pytest
 from support.api import FakeWorker, expect, solutions, submit
-from support.databases import on_sqlite
 
 from brink.server.problems.base import NO_PART
 from brink.server.problems.urban_injected import REQUIREMENTS, SIMULATOR
@@ -50,7 +49,6 @@ def finished(client: httpx.Client, judge: Any, **changes: Any) -> str:
     return campaign
 
 
-@on_sqlite
 def test_only_active_parameters_are_shown(client: httpx.Client) -> None:
     campaign = finished(client, ends_early)
     found = solutions(client, campaign)
@@ -90,7 +88,6 @@ def test_only_active_parameters_are_shown(client: httpx.Client) -> None:
     assert sum(f'"{late}": null' in row for row in rows) == inactive
 
 
-@on_sqlite
 def test_results_without_a_record_claim_nothing(client: httpx.Client) -> None:
     campaign = finished(client, older)
     found = solutions(client, campaign)

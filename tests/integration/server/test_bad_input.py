@@ -7,13 +7,11 @@ from typing import Any
 import httpx
 import pytest
 from support.api import ball, coordinator, row_counts
-from support.databases import Databases, module_on_sqlite
+from support.databases import Databases
 from support.problems import small_problems
 
 from brink.server.db.engine import Engines, open_engines
 from brink.server.errors import field_name
-
-pytestmark = module_on_sqlite
 
 
 @pytest.fixture(scope="module")

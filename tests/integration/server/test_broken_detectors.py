@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 from support.api import FakeWorker, coordinator, expect, submit
-from support.databases import Databases, on_sqlite
+from support.databases import Databases
 from support.marks import mostly_long
 from support.onnx_file import write_network
 
@@ -24,8 +24,6 @@ CAMERAS = ("brink-aeb@3", "brink-dataset@2", "brink-drive-camera@3", "brink-enco
 OUTCOME: TypeAdapter[Completed | JobFailed] = TypeAdapter(Completed | JobFailed)
 GREY = 114 / 255
 """Mean of the image on which networks are tried when they are loaded."""
-
-pytestmark = on_sqlite
 
 
 class _Nan:

@@ -25,6 +25,7 @@ from support.api import (
     row_counts,
     submit,
 )
+from support.databases import sqlite_then_postgres
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
@@ -68,6 +69,7 @@ def test_same_idempotency_key_returns_the_same_campaign(client: httpx.Client, en
     assert other["id"] != first["id"]
 
 
+@sqlite_then_postgres
 def test_campaigns_are_listed_newest_first_and_in_pages(client: httpx.Client) -> None:
     ids = [submit(client, ball(seed=seed)) for seed in range(5)]
     listed: list[str] = []
@@ -124,6 +126,7 @@ def test_cancelled_campaign_keeps_its_results(client: httpx.Client) -> None:
     assert worker.lease() == []
 
 
+@sqlite_then_postgres
 def test_only_an_ended_campaign_can_be_deleted(client: httpx.Client, engines: Engines) -> None:
     worker, campaign = FakeWorker(client), submit(client, ball())
     late = worker.lease()
@@ -227,6 +230,7 @@ def few(**changes: Any) -> dict[str, Any]:
     return ball(simulations=3, algorithm={"id": "random@1"}, **changes)
 
 
+@sqlite_then_postgres
 def test_a_campaign_without_any_result_has_failed(listening_client: httpx.Client, tmp_path: Path) -> None:
     worker = FakeWorker(listening_client, judge=fails_east_of(-9.0))
     file = tmp_path / "few.json"

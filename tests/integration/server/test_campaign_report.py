@@ -14,7 +14,6 @@ import pytest
 import yaml
 from PIL import Image
 from support.api import FakeWorker, ball, coordinator, expect, progress, submit
-from support.databases import on_sqlite
 from support.tolerance import body as tolerance_body
 from support.tolerance import finished as tolerance_finished
 from typer.testing import CliRunner
@@ -179,7 +178,6 @@ def test_the_printed_file_and_digest_describe_the_campaign(disc: tuple[str, str]
     assert parse_body(file).tags == []
 
 
-@on_sqlite
 def test_names_tags_and_notes_are_text_and_never_markup(database_url: str) -> None:
     hostile = "</title><script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
     campaign = computed(
@@ -193,7 +191,6 @@ def test_names_tags_and_notes_are_text_and_never_markup(database_url: str) -> No
 
 
 @pytest.mark.long("runs campaigns")
-@on_sqlite
 @pytest.mark.usefixtures("small_problems")
 def test_an_unfinished_campaign_says_so(database_url: str) -> None:
     with coordinator(database_url) as client:
@@ -225,7 +222,6 @@ def test_an_unfinished_campaign_says_so(database_url: str) -> None:
 
 
 @pytest.mark.long("runs campaigns")
-@on_sqlite
 @pytest.mark.usefixtures("smaller_library")
 def test_a_search_for_tolerances_shows_sentences_and_curves_instead_of_pairs(
     database_url: str, monkeypatch: pytest.MonkeyPatch

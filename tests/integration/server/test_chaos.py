@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 from sqlalchemy import update
-from support.databases import on_sqlite
 from support.processes import environment
 from support.queue import RESULT, Queue
 
@@ -62,7 +61,6 @@ def judge(queue: Queue, campaign: str, *, counted: int) -> None:
     )
 
 
-@on_sqlite
 class TestAudit:
     def test_accepted_verdict_that_is_not_stored_is_lost(self, queue: Queue, engines: Engines) -> None:
         campaign, ledger = queue.campaign(2), Ledger()

@@ -19,7 +19,7 @@ import yaml
 from PIL import Image
 from sqlalchemy import text, update
 from support.api import FakeWorker, ball, coordinator, expect, listening_coordinator, settings_for, submit
-from support.databases import Databases, on_sqlite
+from support.databases import Databases, sqlite_then_postgres
 from support.queue import Queue
 from typer.testing import CliRunner
 
@@ -157,7 +157,6 @@ def test_non_ascii_token_is_one_line_without_it(brink: Command, monkeypatch: pyt
     assert "schl" not in line
 
 
-@on_sqlite
 @pytest.mark.parametrize(
     "command", [("status",), ("results", "3f2a"), ("experiment", "list"), ("worker",)], ids=" ".join
 )
@@ -230,6 +229,7 @@ def test_unreachable_coordinator_is_one_line(brink: Command, tmp_path: Path) -> 
         assert "brink serve" in line
 
 
+@sqlite_then_postgres
 def test_database_without_a_schema_says_how_to_get_one(brink: Command, databases: Databases) -> None:
     with databases.database("empty", migrated=False) as url:
         if databases.backend == "sqlite":
@@ -258,7 +258,6 @@ def newer(url: str) -> None:
     engines.dispose()
 
 
-@on_sqlite
 def test_port_in_use_is_one_line(brink: Command, databases: Databases, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken, databases.database() as url:
         port = str(taken.getsockname()[1])
@@ -268,7 +267,6 @@ def test_port_in_use_is_one_line(brink: Command, databases: Databases, tmp_path:
             assert "--port" in line
 
 
-@on_sqlite
 def test_run_takes_another_port_if_the_usual_one_is_in_use(database_url: str, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         settings = settings_for(database_url, port=taken.getsockname()[1])
@@ -406,7 +404,6 @@ SENSITIVITY: dict[str, Any] = {
 
 
 @pytest.mark.long("runs a campaign")
-@on_sqlite
 def test_archive_is_scored_with_other_settings(listening_client: httpx.Client, tmp_path: Path) -> None:
     client = listening_client
     campaign = submit(client, ball(simulations=80))
@@ -430,7 +427,6 @@ def test_archive_is_scored_with_other_settings(listening_client: httpx.Client, t
     assert "this campaign" in people.output
 
 
-@on_sqlite
 @pytest.mark.long("runs an experiment")
 def test_searches_with_other_settings_become_an_experiment(databases: Databases, tmp_path: Path) -> None:
     file = tmp_path / "campaign.yaml"
@@ -456,7 +452,6 @@ def test_searches_with_other_settings_become_an_experiment(databases: Databases,
         assert drawn.width == 1600
 
 
-@on_sqlite
 @pytest.mark.long("runs an experiment")
 def test_an_experiment_runs_at_the_chosen_size(databases: Databases, tmp_path: Path) -> None:
     file, out = tmp_path / "study.yaml", tmp_path / "out"
@@ -513,6 +508,7 @@ def test_sound_database_passes_every_check(database_url: str, engines: Engines, 
     assert "distances of 64 solutions verified" in checks["stored"][1]
 
 
+@sqlite_then_postgres
 def test_doctor_names_stuck_work_and_missing_workers(
     database_url: str, engines: Engines, finished: str
 ) -> None:
@@ -535,6 +531,7 @@ def test_doctor_names_stuck_work_and_missing_workers(
     assert idle in checks["campaigns"][1]
 
 
+@sqlite_then_postgres
 def test_doctor_points_at_quarantined_jobs(database_url: str, engines: Engines) -> None:
     queue = Queue(engines=engines)
     queue.campaign(1)

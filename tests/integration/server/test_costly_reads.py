@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 import pytest
 from support.api import ball, eventually, expect, finish, listening_coordinator
-from support.databases import Databases, module_on_sqlite
+from support.databases import Databases
 from support.problems import small_problems
 
 from brink.search import metric
@@ -24,7 +24,6 @@ from brink.server.findings.boundary import repeats as repeated
 from brink.server.findings.boundary import table as boundary_table
 from brink.server.findings.pairs import kind, questions
 
-pytestmark = module_on_sqlite
 API = "/api/v1/campaigns"
 AT_ONCE = 12
 """Costly reads at once: more than the event loop has default threads on a small machine."""

@@ -19,7 +19,7 @@ from support.api import (
     progress,
     submit,
 )
-from support.databases import Databases, on_sqlite
+from support.databases import Databases, sqlite_then_postgres
 from support.problems import SIMULATOR
 
 from brink.server.access.tokens import create_token
@@ -38,7 +38,6 @@ def guarded(database_url: str) -> Iterator[httpx.Client]:
         yield client
 
 
-@on_sqlite
 def test_page_and_its_files_need_neither_token_nor_internet(guarded: httpx.Client) -> None:
     with httpx.Client(base_url=guarded.base_url, verify=False) as stranger:
         page = stranger.get("/")
@@ -63,7 +62,6 @@ def test_every_imported_module_exists() -> None:
             assert (module.parent / named).resolve().is_file(), f"{module.relative_to(STATIC)}: {named}"
 
 
-@on_sqlite
 def test_other_files_of_the_package_are_not_served(guarded: httpx.Client) -> None:
     with httpx.Client(base_url=guarded.base_url, verify=False) as stranger:
         for path in ("/dashboard/../page.py", "/dashboard/%2e%2e/page.py", "/dashboard/js", "/dashboard"):
@@ -82,7 +80,6 @@ def test_access_answers_with_the_scope_of_the_token(
         assert body == {"tokens": True, "scope": scope}
 
 
-@on_sqlite
 def test_access_without_tokens_is_admin(client: httpx.Client) -> None:
     assert expect(client.get("/api/v1/access")) == {"tokens": False, "scope": "admin"}
 
@@ -129,6 +126,7 @@ def test_overview_lists_the_progress_of_every_campaign_in_columns(client: httpx.
     assert get_again(client, "overview", etag).status_code == 200
 
 
+@sqlite_then_postgres
 def test_overview_filters_by_name_status_and_experiment(client: httpx.Client) -> None:
     finish(client, ball(name="first one"))
     submit(client, ball(seed=2, name="second_100%"))
@@ -143,6 +141,7 @@ def test_overview_filters_by_name_status_and_experiment(client: httpx.Client) ->
         assert expect(client.get(f"{API}/overview", params=query))["name"] == found, query
 
 
+@sqlite_then_postgres
 def test_overview_hides_follow_ups_or_nests_them_below_their_campaigns(client: httpx.Client) -> None:
     first = finish(client, ball(name="first"))
     numbers = [one["number"] for one in expect(client.get(f"{API}/campaigns/{first}/solutions"))["solutions"]]
@@ -239,6 +238,7 @@ def test_convergence_curve_ends_at_the_boundary(client: httpx.Client) -> None:
     assert (np.diff(course["simulations"]) > 0).all()
 
 
+@sqlite_then_postgres
 def test_campaign_without_verdicts_has_an_empty_map_and_curve(client: httpx.Client) -> None:
     campaign = submit(client, ball())
     assert expect(client.get(f"{API}/campaigns/{campaign}/map"))["number"] == []
@@ -246,7 +246,6 @@ def test_campaign_without_verdicts_has_an_empty_map_and_curve(client: httpx.Clie
     assert expect(client.get(f"{API}/campaigns/{campaign}/dependence"))["evaluated"] == 0
 
 
-@on_sqlite
 def test_campaign_file_is_checked_without_being_stored(client: httpx.Client) -> None:
     headers = {"Content-Type": "application/yaml"}
     body = expect(client.post(f"{API}/campaigns/check", content=FILE, headers=headers))
@@ -258,7 +257,6 @@ def test_campaign_file_is_checked_without_being_stored(client: httpx.Client) -> 
     assert expect(client.get(f"{API}/overview"))["id"] == []
 
 
-@on_sqlite
 def test_check_of_a_wrong_campaign_file_points_at_the_error(client: httpx.Client) -> None:
     for text, pointer, words in (
         ("name: [", "", "line 1"),
@@ -343,7 +341,6 @@ def test_etag_changes_only_when_the_answer_does(
     assert later.json() != first.json()
 
 
-@on_sqlite
 @pytest.mark.parametrize(
     ("known", "status"),
     [("{tag}", 304), ("W/{tag}", 304), ('"other", W/{tag}', 304), ("*", 304), ('"other"', 200), ("", 200)],

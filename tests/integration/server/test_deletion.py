@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from sqlalchemy import Connection, func, insert, select, update
 from support.api import FakeWorker, await_erasure, ball, coordinator, expect, finish, row_counts
-from support.databases import Databases, on_sqlite
+from support.databases import Databases, sqlite_then_postgres
 from support.queue import Queue
 from typer.testing import CliRunner
 
@@ -180,7 +180,6 @@ def test_an_experiment_is_deleted_at_once_and_erased_in_pieces(
 
 
 @pytest.mark.long("runs campaigns")
-@on_sqlite
 @pytest.mark.usefixtures("small_problems")
 def test_what_is_being_erased_is_neither_verified_nor_exported_nor_replaced(
     databases: Databases, tmp_path: Path
@@ -227,6 +226,7 @@ def pruned(database_url: str, *options: str) -> list[str]:
     return [one["id"] for one in json.loads(said.stdout)["campaigns"]]
 
 
+@sqlite_then_postgres
 def test_retention_deletes_a_tree_of_follow_ups_when_all_of_it_is_old(
     client: httpx.Client, engines: Engines, database_url: str
 ) -> None:

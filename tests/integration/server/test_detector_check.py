@@ -14,13 +14,13 @@ from typing import Any
 import pytest
 from PIL import Image
 from support.api import coordinator
-from support.databases import Databases, module_on_sqlite
+from support.databases import Databases
 from support.tolerance import body, camera, finished
 from typer.testing import CliRunner, Result
 
 from brink.cli.commands import app
 
-pytestmark = [pytest.mark.long("runs a search for tolerances; the checks have unit tests"), module_on_sqlite]
+pytestmark = pytest.mark.long("runs a search for tolerances; the checks have unit tests")
 RECORDINGS = Path(__file__).parents[2] / "data" / "recordings"
 WIDE = ("--camera", "1920", "1080", "60", "1.4")
 """The camera of `blind.csv`."""

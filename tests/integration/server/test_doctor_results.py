@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 from sqlalchemy import Connection, delete, select, update
 from support.api import FakeWorker, ball, completes, coordinator, submit, undisturbed_digest
-from support.databases import on_sqlite
 from support.problems import SIMULATOR, simulated
 from support.queue import TERMS, lease, report
 
@@ -221,7 +220,6 @@ def test_a_job_that_is_retried_and_completed_during_the_step_counts(
 
 
 @pytest.mark.long("runs a campaign")
-@on_sqlite
 def test_the_newest_results_are_verified_unless_all_are_to_be(
     database_url: str, engines: Engines, finished: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

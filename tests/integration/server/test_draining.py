@@ -6,7 +6,7 @@ from typing import Any
 import httpx
 import pytest
 from support.api import FakeWorker, ball, coordinator, eventually, expect, submit
-from support.databases import Databases
+from support.databases import Databases, sqlite_then_postgres
 
 from brink.server.access.tokens import allows
 from brink.server.states import Scope
@@ -63,6 +63,7 @@ def test_a_draining_worker_gets_no_jobs_but_its_results_are_accepted(client: htt
     assert other.lease(), "the others go on"
 
 
+@sqlite_then_postgres
 def test_a_worker_that_waits_for_jobs_is_told_at_once(client: httpx.Client) -> None:
     worker = FakeWorker(client)
     replies: list[dict[str, Any]] = []

@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 import httpx
 import pytest
 from support.api import FakeWorker, coordinator, expect, listening_coordinator, submit
-from support.databases import on_sqlite
 from support.drives import simulate
 from typer.testing import CliRunner
 
@@ -55,7 +54,6 @@ def _driver() -> Iterator[Callable[[type[Rolls]], None]]:
     catalogue._registered.pop(DRIVING_SYSTEMS, None)
 
 
-@on_sqlite
 @pytest.mark.parametrize(
     ("system", "words"),
     [
@@ -126,7 +124,6 @@ def work(client: httpx.Client, body: dict[str, Any]) -> str:
     return campaign
 
 
-@on_sqlite
 def test_pairs_are_simulated_with_another_driving_system(
     database_url: str, driver: Callable[[type[Rolls]], None]
 ) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import httpx
 import pytest
 from support.api import FakeWorker, ball, coordinator, eventually, expect, progress, submit
-from support.databases import Databases, on_sqlite
+from support.databases import Databases
 from support.problems import SIMULATOR
 from typer.testing import CliRunner
 
@@ -44,7 +44,6 @@ def finished(client: httpx.Client, name: str) -> str:
     return campaign
 
 
-@on_sqlite
 def test_results_of_other_code_are_not_in_the_cache(engines: Engines, database_url: str, edit: Edit) -> None:
     with coordinator(database_url) as client:
         finished(client, "before")
@@ -56,7 +55,6 @@ def test_results_of_other_code_are_not_in_the_cache(engines: Engines, database_u
         assert progress(client, finished(client, "after again"))["cached"] == same["simulations"]
 
 
-@on_sqlite
 def test_a_campaign_is_not_continued_with_other_code(engines: Engines, database_url: str, edit: Edit) -> None:
     with coordinator(database_url) as client:
         campaign = submit(client, ball())
@@ -71,7 +69,6 @@ def test_a_campaign_is_not_continued_with_other_code(engines: Engines, database_
         assert "submit it again" in reason
 
 
-@on_sqlite
 def test_a_coordinator_without_the_simulator_does_not_pause_the_campaign_of_one_that_has_it(
     engines: Engines, database_url: str, edit: Edit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -86,7 +83,6 @@ def test_a_coordinator_without_the_simulator_does_not_pause_the_campaign_of_one_
 
 
 @pytest.mark.long("runs campaigns")
-@on_sqlite
 def test_a_finished_campaign_is_shown_but_not_repeated_with_other_code(
     engines: Engines, database_url: str, edit: Edit
 ) -> None:
@@ -106,7 +102,6 @@ def test_a_finished_campaign_is_shown_but_not_repeated_with_other_code(
         assert "simulated with different code of ball@1" in answer["detail"]
 
 
-@on_sqlite
 def test_what_a_submission_says_of_sources_is_replaced(client: httpx.Client, edit: Edit) -> None:
     campaign = submit(client, {**ball(), "sources": {"problems/ball@1": "0" * 64}})
     body = expect(client.get(f"{API}/{campaign}"))["body"]
@@ -115,7 +110,6 @@ def test_what_a_submission_says_of_sources_is_replaced(client: httpx.Client, edi
 
 
 @pytest.mark.long("runs campaigns")
-@on_sqlite
 def test_runs_with_other_code_are_no_earlier_runs(listening_client: httpx.Client, edit: Edit) -> None:
     document = {
         "name": "x",
@@ -144,7 +138,6 @@ def test_runs_with_other_code_are_no_earlier_runs(listening_client: httpx.Client
 
 
 @pytest.mark.long("runs campaigns")
-@on_sqlite
 @pytest.mark.parametrize("edited", [False, True])
 def test_a_campaign_that_may_run_is_imported_and_only_continued_with_the_same_code(
     databases: Databases, engines: Engines, database_url: str, tmp_path: Path, edit: Edit, *, edited: bool

@@ -8,7 +8,7 @@ import httpx
 import pytest
 import yaml
 from support.api import FakeWorker, eventually, expect
-from support.databases import on_sqlite
+from support.databases import sqlite_then_postgres
 from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 from typer.testing import CliRunner
 
@@ -72,6 +72,7 @@ def follow_up(client: httpx.Client, pairs: dict[str, Any], **wanted: Any) -> Non
             expect(client.post(path, json={**wanted, **settings}), 201)
 
 
+@sqlite_then_postgres
 def test_pairs_are_counted_and_compared_once_they_are_tried(client: httpx.Client) -> None:
     name = finished(client, pairs=PAIRS)
     before = results_of(client, name)["pairs"]
@@ -123,7 +124,6 @@ def test_pairs_are_counted_and_compared_once_they_are_tried(client: httpx.Client
     assert (one["distinct"], one["confirmed"], one["component"], one["scenario"]) == (2, 2, 1, 1)
 
 
-@on_sqlite
 def test_experiments_without_the_section_compute_no_pairs_unless_asked(client: httpx.Client) -> None:
     name = finished(client, seeds=[1])
     assert results_of(client, name)["pairs"] is None
@@ -133,7 +133,6 @@ def test_experiments_without_the_section_compute_no_pairs_unless_asked(client: h
 
 
 @pytest.mark.long("runs experiments")
-@on_sqlite
 def test_a_campaign_with_too_many_pairs_is_left_out_and_named(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -161,7 +160,6 @@ def test_a_campaign_with_too_many_pairs_is_left_out_and_named(
     assert f"(**finds**, seed 2): {told}" in section[-1]
 
 
-@on_sqlite
 @pytest.mark.parametrize(
     ("problem", "pairs", "pointer"),
     [
@@ -180,7 +178,6 @@ def test_follow_ups_that_tell_nothing_are_refused_at_submission(
 
 
 @pytest.mark.long("runs experiments")
-@on_sqlite
 def test_the_command_follows_up_all_campaigns_and_the_report_begins_with_pairs(
     listening_client: httpx.Client, tmp_path: Path
 ) -> None:

@@ -9,7 +9,7 @@ import httpx
 import pytest
 import yaml
 from support.api import FakeWorker, eventually, expect, listening_coordinator
-from support.databases import Databases, module_on_sqlite
+from support.databases import Databases
 from support.missed import PROBLEM, SECONDS, SIMULATOR, judge, missing
 from support.sweep import Sweep
 from typer.testing import CliRunner
@@ -18,7 +18,6 @@ from brink.cli.commands import app
 from brink.server.problems.catalogue import ALGORITHMS
 from brink.sim import catalogue
 
-pytestmark = module_on_sqlite
 API = "/api/v1/experiments"
 LINES = [*missing("clear", SECONDS), *missing("hard_rain", SECONDS)]
 SCATTERED = [*missing("clear", [0.1, 7.9]), *missing("hard_rain", [0.1, 7.9])]

@@ -8,7 +8,7 @@ import httpx
 import pytest
 import yaml
 from support.api import FakeWorker, await_erasure, ball, eventually, expect, row_counts
-from support.databases import on_sqlite
+from support.databases import sqlite_then_postgres
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
@@ -50,6 +50,7 @@ def work_through(client: httpx.Client, name: str) -> None:
     eventually(done, "the experiment ends")
 
 
+@sqlite_then_postgres
 def test_progress_counts_what_is_done_of_the_generations_under_way(client: httpx.Client) -> None:
     found = submit(client, seeds=[1])
     path = f"{API}/{found['id']}/progress"
@@ -104,6 +105,7 @@ def test_nothing_is_stored_of_an_experiment_that_cannot_run(
     assert (counts["experiments"], counts["campaigns"], counts["jobs"]) == (0, 0, 0)
 
 
+@sqlite_then_postgres
 def test_the_same_key_again_submits_nothing_new(client: httpx.Client, engines: Engines) -> None:
     headers = {"Idempotency-Key": "key-1"}
     first = expect(client.post(API, json=experiment(), headers=headers), 201)
@@ -140,6 +142,7 @@ def test_an_experiment_runs_to_its_end_and_says_what_it_found(client: httpx.Clie
     assert mean["repeats"] == 3
 
 
+@sqlite_then_postgres
 def test_experiment_is_paused_resumed_cancelled_and_deleted(client: httpx.Client, engines: Engines) -> None:
     name = submit(client)["id"]
     assert expect(client.post(f"{API}/{name}/pause"))["status"] == "paused"
@@ -169,6 +172,7 @@ def test_a_campaign_of_an_experiment_may_be_deleted_by_itself(client: httpx.Clie
     assert (left["deleted"], len(left["members"])) == (1, 5)
 
 
+@sqlite_then_postgres
 def test_experiments_are_listed_newest_first_and_page_by_page(client: httpx.Client) -> None:
     names = [submit(client, name=f"n{place}", seeds=[1])["id"] for place in range(3)]
     page = expect(client.get(API, params={"limit": 2}))
@@ -179,7 +183,6 @@ def test_experiments_are_listed_newest_first_and_page_by_page(client: httpx.Clie
 
 
 @pytest.mark.long("runs an experiment")
-@on_sqlite
 def test_the_command_line_does_all_of_it(listening_client: httpx.Client, tmp_path: Path) -> None:
     file, server = tmp_path / "experiment.yaml", ["--server", str(listening_client.base_url)]
     file.write_text(yaml.safe_dump(experiment(seeds=[1, 2])))

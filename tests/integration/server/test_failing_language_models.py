@@ -9,7 +9,6 @@ from typing import Any
 import httpx
 import pytest
 from support.api import coordinator, progress, reached, submit
-from support.databases import on_sqlite
 from support.llm_endpoint import Endpoint, Step, item, refuses, reply_text, says
 from support.marks import mostly_long
 from support.traffic import POPULATION, calls, origins, seeded, traffic_worker
@@ -18,7 +17,7 @@ import brink.server.llm.calls
 from brink.server.llm.settings import LlmSettings
 
 # Calls of a model are stored on both databases by test_language_models.py.
-pytestmark = [pytest.mark.timeout(120), on_sqlite]
+pytestmark = pytest.mark.timeout(120)
 
 STALLS = "stalls"
 SLACK_S = 1.5

@@ -10,6 +10,7 @@ import httpx
 import pytest
 from PIL import Image
 from support.api import FakeWorker, ball, completes, expect, finish, submit
+from support.databases import sqlite_then_postgres
 from support.problems import REQUIREMENT, SIMULATOR
 from support.traces import make_trace
 from support.urban_pairs import SAFE, UNSAFE, judged, row
@@ -163,6 +164,7 @@ def test_a_running_campaign_says_what_has_been_reported_so_far(client: httpx.Cli
     assert (found["complete"], found["steps"]) == (False, [])
 
 
+@sqlite_then_postgres
 def test_a_paused_campaign_can_be_resumed(client: httpx.Client) -> None:
     campaign = submit(client, ball())
     expect(client.post(f"{API}/{campaign}/pause"))
@@ -226,6 +228,7 @@ def urban(client: httpx.Client, unsafe: list[float] = UNSAFE) -> str:
     return campaign
 
 
+@sqlite_then_postgres
 def test_a_solution_and_its_pair_count_the_same_parameters(client: httpx.Client) -> None:
     campaign = urban(client, row(148, x_min_0_px=302.0, x_max_0_px=402.0))
     [pair] = expect(client.get(f"{API}/{campaign}/pairs"))["pairs"]
@@ -262,6 +265,7 @@ def test_workers_record_what_the_pictures_of_a_pair_need_and_both_are_requested_
     assert ask_for_picture(client, campaign).status_code == 204, "they are kept now"
 
 
+@sqlite_then_postgres
 def test_solutions_that_do_not_exist_have_no_picture(client: httpx.Client) -> None:
     campaign = urban(client)
     unknown = client.get(f"{API}/{campaign}/pairs/0-77/safe.png", params={"wait_s": 0})

@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 from support.api import FakeWorker, ball, expect, finish, listening_coordinator, perturbed, submit
-from support.databases import Databases, module_on_sqlite
+from support.databases import Databases
 from support.extremes import ExtremesAlgorithm, ExtremesKind
 from support.problems import small_problems
 from support.tolerance import body as tolerance
@@ -25,7 +25,7 @@ from brink.server.findings.kind import FINDINGS, Subject, all_kinds
 from brink.server.problems.catalogue import ALGORITHMS, describe_algorithms
 from brink.sim import catalogue
 
-pytestmark = [pytest.mark.usefixtures("smaller_library"), module_on_sqlite]
+pytestmark = pytest.mark.usefixtures("smaller_library")
 API = "/api/v1/campaigns"
 ROOT = Path(__file__).parents[3]
 

@@ -12,7 +12,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from sqlalchemy import insert, select
 from support.api import FakeWorker, ball, coordinator, expect, progress, submit
-from support.databases import Databases, on_sqlite
+from support.databases import Databases, module_sqlite_then_postgres
 from support.problems import small_problems
 
 from brink.search.analysis.paper import D_THS, PAPER_FRACTIONS, PAPER_T_BS
@@ -53,7 +53,6 @@ def test_progress_has_counts_and_digest(finished: Finished) -> None:
     assert [g["number"] for g in done["generations"]] == list(range(done["generation"]))
 
 
-@on_sqlite
 def test_ambiguous_prefix_names_what_it_could_be(client: httpx.Client, engines: Engines) -> None:
     campaign = submit(client, ball())
     prefix = next(two for two in ("ab", "cd") if not campaign.startswith(two))
@@ -170,6 +169,7 @@ def test_distances_of_unknown_solutions_are_rejected(finished: Finished, numbers
     expect(finished.client.get(path, params={"numbers": numbers}), status)
 
 
+@module_sqlite_then_postgres
 def test_archive_has_all_solutions(finished: Finished) -> None:
     answer = finished.client.get(f"/api/v1/campaigns/{finished.id}/archive.npz")
     with np.load(io.BytesIO(answer.content), allow_pickle=False) as npz:
@@ -184,6 +184,7 @@ def test_archive_has_all_solutions(finished: Finished) -> None:
     assert arrays["choices"].tolist() == ["", ""]
 
 
+@module_sqlite_then_postgres
 def test_jobs_and_workers_are_listed(finished: Finished) -> None:
     jobs = expect(finished.client.get("/api/v1/jobs", params={"status": "done", "limit": 3}))
     assert [job["status"] for job in jobs["jobs"]] == ["done"] * 3

@@ -7,7 +7,7 @@ from typing import Any
 import httpx
 import pytest
 from support.api import FakeWorker, ball, eventually, expect, finish, listening_coordinator, perturbed, submit
-from support.databases import Databases, on_sqlite
+from support.databases import Databases, sqlite_then_postgres
 from support.problems import small_problems
 from support.tolerance import body as tolerance
 from support.tolerance import judge
@@ -56,6 +56,7 @@ def test_pairs_are_counted_and_then_how_many_of_them_hold(client: httpx.Client) 
     assert column(client)[again["campaign"]] == ""
 
 
+@sqlite_then_postgres
 def test_tolerances_violations_and_combinations_are_counted(client: httpx.Client) -> None:
     tolerances = submit(client, tolerance(simulations=400))
     FakeWorker(client, capabilities=("brink-drive-errors@2",), judge=judge).work(tolerances)
@@ -119,7 +120,6 @@ def test_what_cannot_be_told_is_left_out(
     assert "its finding cannot be computed" in caplog.text
 
 
-@on_sqlite
 def test_what_takes_too_long_to_tell_is_ended_and_left_out(
     databases: Databases, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -14,7 +14,6 @@ from pathlib import Path
 import httpx
 import pytest
 from support.api import listening_coordinator, progress
-from support.databases import on_sqlite
 from support.populated import fill
 
 FUZZER = Path(sys.executable).with_name("schemathesis")
@@ -34,7 +33,6 @@ MAY_BE_UNAVAILABLE = PICTURES | {
 
 
 @pytest.mark.timeout(400)
-@on_sqlite
 @pytest.mark.usefixtures("small_problems")
 @pytest.mark.long("tries many requests")
 def test_generated_requests_are_answered(database_url: str, tmp_path: Path) -> None:

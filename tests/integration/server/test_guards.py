@@ -12,7 +12,6 @@ import httpx
 import pytest
 from pydantic import SecretStr, ValidationError
 from support.api import ball, eventually, expect, listening_coordinator, row_counts
-from support.databases import on_sqlite
 
 from benchmarks.processes import Process, free_port
 from brink.server.db.engine import Engines, parse_url
@@ -24,7 +23,7 @@ from brink.server.settings import Settings
 SECRET = "correct-horse"
 
 # A request that a guard turns away reaches no database.
-pytestmark = [pytest.mark.usefixtures("databases"), on_sqlite]
+pytestmark = pytest.mark.usefixtures("databases")
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ import pytest
 from support.api import FakeWorker, ball, coordinator, expect, listening_coordinator, progress, submit
 from support.attacks import ATTACKS
 from support.attacks.bodies import MOST_BYTES
-from support.databases import Databases, on_sqlite
+from support.databases import Databases, module_sqlite_then_postgres, sqlite_then_postgres
 from support.hostile import Attack, Target, everything, outcome_of, prepare, results
 from support.problems import small_problems
 
@@ -56,6 +56,7 @@ def target(module_databases: Databases) -> Iterator[Target]:
             engines.dispose()
 
 
+@module_sqlite_then_postgres
 @pytest.mark.parametrize("attack", [pytest.param(one, id=one.name) for one in ATTACKS])
 def test_a_hostile_request_gets_what_it_should_and_changes_nothing(
     target: Target, attack: Attack, caplog: pytest.LogCaptureFixture
@@ -111,7 +112,6 @@ def guarded(database_url: str, engines: Engines, small_problems: None) -> Iterat
 
 
 @named("a flood of requests with a token", 200, 429)
-@on_sqlite
 def test_a_flood_is_told_to_come_again_later(guarded: tuple[httpx.Client, str]) -> None:
     client, token = guarded
     headers = {"Authorization": f"Bearer {token}"}
@@ -124,7 +124,6 @@ def test_a_flood_is_told_to_come_again_later(guarded: tuple[httpx.Client, str]) 
 
 
 @named("a flood of guessed tokens", 401, 429)
-@on_sqlite
 def test_token_guesses_must_wait(guarded: tuple[httpx.Client, str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(brink.server.access.authentication, "UNAUTHENTICATED_PER_S", 20.0)
     client, token = guarded
@@ -135,6 +134,7 @@ def test_token_guesses_must_wait(guarded: tuple[httpx.Client, str], monkeypatch:
     assert all(int(answer.headers["Retry-After"]) >= 1 for answer in late)
 
 
+@sqlite_then_postgres
 @named("a result without the verdict of a requirement", 200)
 def test_a_result_without_the_verdict_counts_as_failed(client: httpx.Client) -> None:
     campaign = submit(client, ball(simulations=20, execution={"max_attempts": 1}))

@@ -15,7 +15,7 @@ import yaml
 from fastapi.responses import JSONResponse, Response
 from sqlalchemy import Connection, select, update
 from support.api import coordinator, eventually, expect, progress, reached, submit
-from support.databases import on_sqlite
+from support.databases import sqlite_then_postgres
 from support.llm_endpoint import MODEL, Asked, Endpoint, Step, completion, cut, items, reply_text, says
 from support.marks import mostly_long
 from support.traffic import (
@@ -178,6 +178,7 @@ def test_request_without_a_reply_counts_against_the_budget(
     assert len(endpoint.asked) == 2
 
 
+@sqlite_then_postgres
 @pytest.mark.long("runs a campaign")
 def test_pausing_repeats_no_request(
     database_url: str, endpoint: Endpoint, monkeypatch: pytest.MonkeyPatch
@@ -254,7 +255,6 @@ def test_a_key_goes_only_where_the_operator_pairs_it_with_the_endpoint(
         assert origins(client, campaign)[:POPULATION] == ["llm"] * POPULATION
 
 
-@on_sqlite
 def test_a_stored_campaign_gets_no_key_that_the_operator_did_not_name(
     database_url: str, engines: Engines, endpoint: Endpoint, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -300,6 +300,7 @@ def test_commands_send_no_key_that_only_the_file_names(
         assert CliRunner().invoke(app, ["llm", "check", str(file)]).exit_code == 0
 
 
+@sqlite_then_postgres
 @pytest.mark.long("runs a campaign")
 def test_two_coordinators_send_each_request_once(database_url: str, endpoint: Endpoint) -> None:
     endpoint.then(*[scripted] * 40)
@@ -338,6 +339,7 @@ def test_storing_a_reply_is_retried_until_shutdown(
     assert refused
 
 
+@sqlite_then_postgres
 @pytest.mark.long("runs a campaign")
 @pytest.mark.parametrize("when", ["claims", "releases"])
 def test_stopping_coordinator_leaves_no_claim_behind(
@@ -484,7 +486,6 @@ def sent(endpoint: Endpoint) -> list[str]:
 EVERY_TIME = ("connection cut once",)
 
 
-@on_sqlite
 @pytest.mark.parametrize("name", mostly_long(FAULTS, EVERY_TIME, "one fault runs every time"))
 def test_interrupted_campaign_survives_endpoint_faults(
     database_url: str, endpoint: Endpoint, name: str

@@ -8,13 +8,13 @@ from typing import Any
 import httpx
 import pytest
 from support.api import ball, eventually, expect, listening_coordinator, progress, submit
-from support.databases import Databases, module_on_sqlite
+from support.databases import Databases
 from support.problems import small_problems
 
 from brink.search.analysis import boundary
 from brink.server.campaigns import plan
 
-pytestmark = [pytest.mark.long("a campaign with thousands of simulations"), module_on_sqlite]
+pytestmark = pytest.mark.long("a campaign with thousands of simulations")
 API = "/api/v1/campaigns"
 SOLUTIONS = 1_200
 EVERY: dict[str, Any] = {"t_b": 1.0, "d_th": 0.0}

@@ -4,9 +4,7 @@ import logging
 
 import pytest
 from support.api import FakeWorker, ball, coordinator, submit, undisturbed_digest
-from support.databases import on_sqlite
 
-pytestmark = on_sqlite
 BODIES = [ball(seed=seed) for seed in (1, 2)]
 
 

@@ -25,7 +25,7 @@ from support.api import (
     settings_for,
     submit,
 )
-from support.databases import on_postgres, on_sqlite
+from support.databases import on_postgres, sqlite_then_postgres
 from support.queue import Queue
 
 from brink.server.api.context import Context
@@ -145,6 +145,7 @@ def test_job_of_an_expired_lease_goes_to_a_waiting_worker(database_url: str) -> 
     on_services(database_url, body)
 
 
+@sqlite_then_postgres
 def test_a_heartbeat_renews_a_lease(client: httpx.Client, engines: Engines) -> None:
     worker = FakeWorker(client)
     submit(client, ball())
@@ -360,7 +361,6 @@ def test_failed_job_does_not_wait_for_a_worker_that_is_gone(database_url: str) -
         assert [(a.job, a.attempt) for a in again] == [(job.job, 2)]
 
 
-@on_sqlite
 def test_a_worker_that_is_gone_and_its_leases_are_logged(
     database_url: str, small_problems: None, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -9,7 +9,6 @@ import httpx
 import numpy as np
 import pytest
 from support.api import ball, expect, finish, submit
-from support.databases import on_sqlite
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
@@ -43,7 +42,6 @@ def test_campaign_scores_solutions(client: httpx.Client) -> None:
     assert expect(client.post(path, json={"solutions": [at(0, 0)]}))["threshold"] == 0.1, "p_th"
 
 
-@on_sqlite
 def test_answer_points_at_the_unscorable_solution(client: httpx.Client) -> None:
     campaign = finish(client, ball(simulations=40))
     bad: tuple[tuple[dict[str, Any], str], ...] = (
@@ -59,7 +57,6 @@ def test_answer_points_at_the_unscorable_solution(client: httpx.Client) -> None:
         assert [error["pointer"] for error in document["errors"]] == [pointer]
 
 
-@on_sqlite
 def test_campaign_without_verdicts_cannot_score(client: httpx.Client) -> None:
     campaign = submit(client, ball())
     path = f"/api/v1/campaigns/{campaign}/monitor/score"
@@ -67,7 +64,6 @@ def test_campaign_without_verdicts_cannot_score(client: httpx.Client) -> None:
 
 
 @pytest.mark.long("runs campaigns; monitors have unit tests")
-@on_sqlite
 def test_monitor_file_scores_and_is_evaluated_offline(listening_client: httpx.Client, tmp_path: Path) -> None:
     learned = finish(listening_client, ball(simulations=400, algorithm=RANDOM))
     fresh = finish(listening_client, ball(simulations=400, algorithm=RANDOM, seed=9))

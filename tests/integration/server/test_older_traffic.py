@@ -6,7 +6,6 @@ import httpx
 import pytest
 from sqlalchemy import select, update
 from support.api import coordinator, eventually, expect, progress, submit
-from support.databases import on_sqlite
 from support.traffic import traffic_worker
 
 from brink.search.algorithms.mumoea import Mumoea
@@ -36,7 +35,6 @@ def make_older(engines: Engines, campaign: str) -> None:
         connection.execute(update(CampaignRow).where(table.c.id == campaign).values(document=document))
 
 
-@on_sqlite
 def test_a_finished_campaign_keeps_the_distance_and_the_criticality_that_it_had(
     client: httpx.Client, engines: Engines
 ) -> None:
@@ -54,7 +52,6 @@ def test_a_finished_campaign_keeps_the_distance_and_the_criticality_that_it_had(
     expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 2, "t_b": 1.0, "d_th": 0.05}), 201)
 
 
-@on_sqlite
 def test_an_unfinished_campaign_is_paused_and_says_why(
     database_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -71,7 +68,6 @@ def test_an_unfinished_campaign_is_paused_and_says_why(
     assert "continue with the version of Brink that began it, or submit it again" in reason
 
 
-@on_sqlite
 @pytest.mark.parametrize("violation", ["lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1"])
 def test_a_search_by_a_gap_that_says_nothing_about_the_requirement_is_refused(
     client: httpx.Client, violation: str

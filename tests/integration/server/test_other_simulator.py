@@ -13,7 +13,6 @@ from support.api import (
     progress,
     submit,
 )
-from support.databases import on_sqlite
 from support.problems import SIMULATOR
 from typer.testing import CliRunner
 
@@ -35,7 +34,6 @@ def is_paused(client: httpx.Client, campaign: str) -> bool:
     return bool(progress(client, campaign)["status"] == "paused")
 
 
-@on_sqlite
 def test_an_unfinished_campaign_is_paused_and_says_why(
     engines: Engines, database_url: str, small_problems: None
 ) -> None:
@@ -54,7 +52,6 @@ def test_an_unfinished_campaign_is_paused_and_says_why(
         assert progress(client, campaign)["status_reason"] == reason
 
 
-@on_sqlite
 def test_a_finished_campaign_is_shown_but_neither_repeated_nor_traced(
     client: httpx.Client, engines: Engines
 ) -> None:
@@ -71,7 +68,6 @@ def test_a_finished_campaign_is_shown_but_neither_repeated_nor_traced(
     assert f"simulated with {EARLIER}, but ball@1 now uses {SIMULATOR}" in answer["detail"]
 
 
-@on_sqlite
 def test_campaigns_of_two_simulators_are_compared_with_a_warning(
     engines: Engines, database_url: str, small_problems: None
 ) -> None:

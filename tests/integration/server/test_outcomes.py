@@ -8,7 +8,7 @@ import httpx
 import numpy as np
 import pytest
 from support.api import FakeWorker, coordinator, expect, solutions, submit
-from support.databases import Databases, on_sqlite
+from support.databases import Databases
 from support.problems import small_problems
 
 from brink.server.db.engine import Engines
@@ -104,7 +104,6 @@ def test_outcomes_are_counted(driven: tuple[httpx.Client, str]) -> None:
         (["lane-keeping@1"], (), "lane kept"),
     ],
 )
-@on_sqlite
 def test_a_campaign_may_be_about_several_requirements(
     client: httpx.Client, requirement: str | list[str], unsafe: tuple[int, ...], held: str
 ) -> None:
@@ -121,7 +120,6 @@ def test_a_campaign_may_be_about_several_requirements(
             assert one["kind"] == ("violated" if one["seed"] % 3 in unsafe else "other")
 
 
-@on_sqlite
 def test_results_without_requirements_are_not_called_clean(client: httpx.Client, engines: Engines) -> None:
     campaign = submit(client, URBAN)
     FakeWorker(client, judge=drive, capabilities=(DRIVES,)).work(campaign)

@@ -11,7 +11,7 @@ import httpx
 import pytest
 from support.api import FakeWorker, ball, expect, finish, listening_coordinator
 from support.bisection import Bisection
-from support.databases import Databases, module_on_sqlite
+from support.databases import Databases
 from support.problems import small_problems
 from typer.testing import CliRunner
 
@@ -20,7 +20,6 @@ from brink.cli.commands import app
 from brink.server.problems.catalogue import ALGORITHMS
 from brink.sim import catalogue
 
-pytestmark = module_on_sqlite
 API = "/api/v1/campaigns"
 TOY = {"id": Bisection.id, "params": {"eps": 0.04}}
 

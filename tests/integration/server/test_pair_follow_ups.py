@@ -9,7 +9,6 @@ import httpx
 import pytest
 from rich.console import Console
 from support.api import FakeWorker, await_erasure, ball, expect, finish, row_counts, solutions, submit
-from support.databases import on_sqlite
 from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 from typer.testing import CliRunner
 
@@ -165,7 +164,6 @@ def test_a_pair_is_pending_while_it_is_undecided_and_drives_are_coming(client: h
     assert len(set(seeds)) == len(seeds) == 4 * (15 + 30), "no episode counts twice"
 
 
-@on_sqlite
 def test_drives_that_failed_do_not_confirm_a_pair(client: httpx.Client) -> None:
     """They may have failed because of what happened in them."""
     campaign = finished(client)
@@ -189,7 +187,6 @@ def test_drives_that_failed_do_not_confirm_a_pair(client: httpx.Client) -> None:
 
 
 @pytest.mark.long("runs campaigns")
-@on_sqlite
 def test_differences_between_sides_with_different_seeds_are_not_called_minimal(client: httpx.Client) -> None:
     given = body(SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE, seed_numbers=[0, 1, 2, 2])
     campaign = worked(client, submit(client, given))
@@ -213,7 +210,6 @@ def test_differences_between_sides_with_different_seeds_are_not_called_minimal(c
     assert states == {0: "not minimal", 2: "different seeds"}
 
 
-@on_sqlite
 def test_an_episode_of_another_campaign_is_not_followed_up(client: httpx.Client) -> None:
     campaign = worked(client, submit(client, body(SAFE, UNSAFE, seed_numbers=[50, 50])))
     detail = ask(client, campaign, 409, kind="component")["detail"]
@@ -222,7 +218,6 @@ def test_an_episode_of_another_campaign_is_not_followed_up(client: httpx.Client)
 
 
 @pytest.mark.long("runs campaigns")
-@on_sqlite
 def test_what_a_cancelled_follow_up_did_not_simulate_was_not_tried(client: httpx.Client) -> None:
     campaign = finished(client)
     for kind in ("component", "minimise"):
@@ -324,7 +319,6 @@ def test_the_pairs_say_what_can_be_asked_and_what_it_takes(client: httpx.Client)
 
 
 @pytest.mark.long("runs campaigns")
-@on_sqlite
 def test_failed_simulations_claim_nothing(client: httpx.Client) -> None:
     campaign = finished(client)
 
@@ -343,7 +337,6 @@ def test_failed_simulations_claim_nothing(client: httpx.Client) -> None:
 
 
 @pytest.mark.long("runs campaigns")
-@on_sqlite
 def test_computed_pairs_are_minimised_without_workers(client: httpx.Client) -> None:
     algorithm = {"id": "random@1", "params": {"generation_size": 100}}
     campaign = submit(
@@ -373,7 +366,6 @@ def test_computed_pairs_are_minimised_without_workers(client: httpx.Client) -> N
         assert error["pointer"] == pointer
 
 
-@on_sqlite
 @pytest.mark.parametrize(
     ("wanted", "message"),
     [
@@ -391,7 +383,6 @@ def test_questions_that_make_no_sense_are_refused(
     assert message in error["message"]
 
 
-@on_sqlite
 def test_only_pairs_of_an_ended_campaign_are_followed_up(client: httpx.Client) -> None:
     running = submit(client, ball())
     assert "is running: wait until it has ended" in ask(client, running, 409, kind="confirm")["detail"]
@@ -402,7 +393,6 @@ def test_only_pairs_of_an_ended_campaign_are_followed_up(client: httpx.Client) -
     assert error["message"] == "ball@1 has no component that ground truth can replace"
 
 
-@on_sqlite
 def test_a_campaign_is_deleted_with_its_follow_ups(client: httpx.Client, engines: Engines) -> None:
     campaign = finished(client)
     again = ask(client, campaign, kind="component", d_th=0.01)["campaign"]
@@ -415,7 +405,6 @@ def test_a_campaign_is_deleted_with_its_follow_ups(client: httpx.Client, engines
 
 
 @pytest.mark.long("runs campaigns")
-@on_sqlite
 def test_the_command_asks_and_then_shows_what_came(listening_client: httpx.Client) -> None:
     campaign = finished(listening_client)
     options = ["--d-th", "0.01", "--confirm", "30", "--component", "--minimise"]
@@ -463,7 +452,6 @@ def test_a_repeated_campaign_with_ground_truth_keeps_it(client: httpx.Client) ->
     assert refused["errors"][0]["pointer"] == "/ground_truth"
 
 
-@on_sqlite
 def test_few_drives_refute_a_pair_but_confirm_none(client: httpx.Client) -> None:
     campaign = finished(client)
     worked(client, ask(client, campaign, kind="confirm", repeats=10, d_th=0.01)["campaign"], by_chance)

@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import httpx
 import pytest
 from support.api import FakeWorker, ball, expect, finish, submit
-from support.databases import on_sqlite
 from support.problems import REQUIREMENT, simulated
 from typer.testing import CliRunner
 
@@ -157,7 +156,6 @@ def test_the_answer_is_cached_by_the_client_until_something_changes(client: http
     assert changed.status_code == 200
 
 
-@on_sqlite
 def test_a_running_campaign_shows_its_pairs_so_far(client: httpx.Client) -> None:
     campaign = submit(client, body())
     FakeWorker(client).work(campaign, until=lambda found: found["generation"] >= 4)
@@ -172,7 +170,6 @@ def test_a_running_campaign_shows_its_pairs_so_far(client: httpx.Client) -> None
     )
 
 
-@on_sqlite
 def test_a_campaign_with_one_verdict_has_no_pair(client: httpx.Client) -> None:
     safe = finish(client, body(40, problem={"id": "ball@1", "params": {"limit": 1e-9}}))
     view = pairs_of(client, safe)
@@ -185,7 +182,6 @@ def test_a_campaign_with_one_verdict_has_no_pair(client: httpx.Client) -> None:
     assert pairs_of(client, unsafe)["note"] == "all 40 solutions violated distance: no pair"
 
 
-@on_sqlite
 def test_without_a_pair_the_nearest_opposite_verdicts_are_named(client: httpx.Client) -> None:
     campaign = finish(client, body(40))
     view = pairs_of(client, campaign, eps=1e-6)
@@ -203,7 +199,6 @@ def test_without_a_pair_the_nearest_opposite_verdicts_are_named(client: httpx.Cl
     assert view["note"].startswith("no pair within eps 1e-06: ")
 
 
-@on_sqlite
 @pytest.mark.usefixtures("few_trees")
 def test_the_settings_of_the_search_for_pairs_are_the_default(client: httpx.Client) -> None:
     edge = {"id": "edge@1", "params": {"eps": 0.05, "d_th": 0.15}}
@@ -222,7 +217,6 @@ def again(*points: tuple[float, float], simulations: int, **changes: Any) -> dic
     return body(simulations, algorithm={"id": "repeat@1", "params": params}, **changes)
 
 
-@on_sqlite
 def test_a_pair_is_checked_if_both_sides_kept_their_verdicts(client: httpx.Client) -> None:
     campaign = finish(client, again((0.98, 0.0), (1.02, 0.0), (-0.98, 0.0), (-1.02, 0.0), simulations=7))
     view = pairs_of(client, campaign)
@@ -233,7 +227,6 @@ def test_a_pair_is_checked_if_both_sides_kept_their_verdicts(client: httpx.Clien
     assert [pair["minimality"]["state"] for pair in view["pairs"]] == ["different seeds"] * 2
 
 
-@on_sqlite
 def test_a_side_that_was_simulated_twice_with_one_seed_is_not_checked(client: httpx.Client) -> None:
     params = {"solutions": [[0.98, 0.0], [1.02, 0.0]] * 2, "seed_numbers": [0, 0, 0, 0]}
     campaign = finish(client, body(4, algorithm={"id": "repeat@1", "params": params}))
@@ -242,7 +235,6 @@ def test_a_side_that_was_simulated_twice_with_one_seed_is_not_checked(client: ht
     assert pair["minimality"]["state"] == "minimal", "one number differs"
 
 
-@on_sqlite
 def test_too_many_pairs_are_refused(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = finish(client, body())
     monkeypatch.setattr("brink.search.analysis.pairs.MOST_TIGHT", 100)
@@ -263,7 +255,6 @@ def test_too_many_pairs_are_refused(client: httpx.Client, monkeypatch: pytest.Mo
     assert "more than 2 distinct pairs at d_th 0: choose a larger d_th or a smaller eps" in error["message"]
 
 
-@on_sqlite
 def test_a_campaign_that_is_deleted_meanwhile_is_not_found(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -273,7 +264,6 @@ def test_a_campaign_that_is_deleted_meanwhile_is_not_found(
     assert problem["detail"] == f"campaign {campaign}: no such campaign"
 
 
-@on_sqlite
 def test_differences_are_reverted_on_paper_only_where_pairs_are_shown_before_the_end(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -295,7 +285,6 @@ def test_differences_are_reverted_on_paper_only_where_pairs_are_shown_before_the
     assert asked == [1, ended["distinct"]]
 
 
-@on_sqlite
 def test_a_chancy_solution_is_no_side_of_a_pair(client: httpx.Client) -> None:
     campaign = finish(client, again((0.98, 0.0), (1.02, 0.0), simulations=40), by_chance)
     view = pairs_of(client, campaign)
@@ -303,7 +292,6 @@ def test_a_chancy_solution_is_no_side_of_a_pair(client: httpx.Client) -> None:
     assert view["note"] == "every solution had both verdicts (2): no pair"
 
 
-@on_sqlite
 @pytest.mark.parametrize("params", [{"eps": 1.5}, {"eps": -0.1}, {"d_th": 2}, {"limit": 0}, {"eps": "near"}])
 def test_settings_out_of_range_are_refused(client: httpx.Client, params: dict[str, Any]) -> None:
     campaign = submit(client, body(20))
@@ -320,7 +308,6 @@ def test_computed_verdicts_need_no_seeds(client: httpx.Client) -> None:
     assert {pair["unsafe"]["outcome"] for pair in view["pairs"]} == {"unsafe"}
 
 
-@on_sqlite
 def test_tables_have_one_row_for_each_pair(client: httpx.Client) -> None:
     campaign = finish(client, body())
     view = pairs_of(client, campaign, **WIDE)
@@ -337,7 +324,6 @@ def test_tables_have_one_row_for_each_pair(client: httpx.Client) -> None:
 
 
 @pytest.mark.long("one more command of a feature whose parts have unit tests")
-@on_sqlite
 @pytest.mark.usefixtures("short_forests")
 def test_the_command_shows_and_writes_pairs_that_a_monitor_is_judged_on(
     listening_client: httpx.Client, tmp_path: Path

@@ -7,6 +7,7 @@ from typing import Any
 import httpx
 import pytest
 from support.api import FakeWorker, ball, expect, submit
+from support.databases import sqlite_then_postgres
 from support.problems import Ball, simulated
 
 from brink.server.campaigns.body import read_campaign_file
@@ -39,6 +40,7 @@ def problem(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return {"id": Driven.id, "params": {"distribution": DISTRIBUTION}}
 
 
+@sqlite_then_postgres
 @pytest.mark.parametrize("algorithm", ["rate@1", "random@1"])
 def test_a_rate_has_intervals_exposure_and_its_distribution(
     client: httpx.Client, problem: dict[str, Any], algorithm: str
@@ -69,6 +71,7 @@ def test_a_rate_has_intervals_exposure_and_its_distribution(
     assert table[-1].startswith("100,")
 
 
+@sqlite_then_postgres
 def test_a_claim_ends_the_search_and_a_search_for_the_boundary_says_that_it_ignored_the_distribution(
     client: httpx.Client, problem: dict[str, Any]
 ) -> None:
@@ -88,6 +91,7 @@ def test_a_claim_ends_the_search_and_a_search_for_the_boundary_says_that_it_igno
     assert "the search (ga@1) ignored the operational distribution" in said
 
 
+@sqlite_then_postgres
 def test_wrong_input_is_refused_by_field(client: httpx.Client, problem: dict[str, Any]) -> None:
     for params, pointer in (
         ({"distribution": {"where.q": "uniform"}}, "/problem/params/distribution/where.q"),

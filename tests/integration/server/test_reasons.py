@@ -2,6 +2,7 @@
 
 import pytest
 from sqlalchemy import select
+from support.databases import sqlite_then_postgres
 from support.queue import Queue
 
 from brink.server.campaigns.store import set_status
@@ -11,6 +12,7 @@ from brink.server.db.types import LONGEST_REASON
 from brink.server.states import CampaignStatus
 
 
+@sqlite_then_postgres
 @pytest.mark.parametrize(
     ("said", "stored"),
     [

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from sqlalchemy import update
 from support.api import FakeWorker, await_erasure, ball, coordinator, expect, progress, row_counts, submit
-from support.databases import on_sqlite
+from support.databases import sqlite_then_postgres
 from support.problems import REQUIREMENT
 from typer.testing import CliRunner
 
@@ -57,6 +57,7 @@ def solutions(client: httpx.Client, campaign: str) -> list[dict[str, Any]]:
     return found
 
 
+@sqlite_then_postgres
 def test_boundary_solutions_are_simulated_again_with_seeds_of_their_own(client: httpx.Client) -> None:
     campaign = finished(client)
     answer = client.post(f"{API}/{campaign}/repeats", json={"repeats": 12, **WIDE})
@@ -94,7 +95,6 @@ def test_boundary_solutions_are_simulated_again_with_seeds_of_their_own(client: 
     assert view["pooled"] == pytest.approx([float(low), float(high)])
 
 
-@on_sqlite
 def test_repeats_that_are_never_unsafe_do_not_confirm_the_boundary(client: httpx.Client) -> None:
     campaign = submit(client, body())
     assert FakeWorker(client, judge=by_chance).work(campaign)["status"] == "finished"
@@ -110,6 +110,7 @@ def test_repeats_that_are_never_unsafe_do_not_confirm_the_boundary(client: httpx
     assert "Even a solution that is never unsafe takes 9 to fall below p_th." in view["words"]
 
 
+@sqlite_then_postgres
 def test_the_same_repeats_are_not_run_twice_and_others_are(client: httpx.Client, engines: Engines) -> None:
     campaign = finished(client)
     first = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **WIDE}), 201)
@@ -122,6 +123,7 @@ def test_the_same_repeats_are_not_run_twice_and_others_are(client: httpx.Client,
     assert row_counts(engines)["follow_ups"] == 3
 
 
+@sqlite_then_postgres
 def test_a_campaign_may_ask_for_repeats_itself(client: httpx.Client) -> None:
     campaign = finished(client, simulations=240, repeats=5)
     [view] = expect(client.get(f"{API}/{campaign}/repeats"))
@@ -131,6 +133,7 @@ def test_a_campaign_may_ask_for_repeats_itself(client: httpx.Client) -> None:
     assert {one["evaluated"] for one in view["solutions"]} == {5}
 
 
+@sqlite_then_postgres
 def test_named_solutions_are_simulated_again_in_place_of_the_boundary(client: httpx.Client) -> None:
     campaign = finished(client)
     by_fitness = sorted(solutions(client, campaign), key=lambda one: (one["fitness"], one["number"]))
@@ -152,6 +155,7 @@ def test_named_solutions_are_simulated_again_in_place_of_the_boundary(client: ht
         assert (one["low"], one["high"]) == pytest.approx(exact_interval(one["unsafe"], 6, 0.95), abs=1e-4)
 
 
+@sqlite_then_postgres
 def test_the_same_named_solutions_are_not_simulated_twice_and_others_are(client: httpx.Client) -> None:
     campaign = finished(client)
 
@@ -171,6 +175,7 @@ def test_the_same_named_solutions_are_not_simulated_twice_and_others_are(client:
     assert len(set(episodes)) == len(episodes), "each with seeds of its own"
 
 
+@sqlite_then_postgres
 def test_a_boundary_without_thresholds_is_not_taken_for_solutions_named_by_number(
     client: httpx.Client,
 ) -> None:
@@ -189,7 +194,6 @@ def test_a_boundary_without_thresholds_is_not_taken_for_solutions_named_by_numbe
     assert views[named["campaign"]]["selection"] == "numbers"
 
 
-@on_sqlite
 def test_solutions_that_cannot_be_named_are_refused(client: httpx.Client, engines: Engines) -> None:
     campaign = finished(client)
     refused: tuple[tuple[dict[str, Any], str, str], ...] = (
@@ -207,14 +211,12 @@ def test_solutions_that_cannot_be_named_are_refused(client: httpx.Client, engine
         assert row_counts(engines)["follow_ups"] == 0
 
 
-@on_sqlite
 def test_named_solutions_wait_until_their_campaign_has_ended(client: httpx.Client) -> None:
     campaign = submit(client, ball())
     answer = expect(client.post(f"{API}/{campaign}/repeats", json={"numbers": [1]}), 409)
     assert "is running: wait until it has ended" in answer["detail"]
 
 
-@on_sqlite
 def test_the_command_shows_the_boundary_and_not_what_was_named(listening_client: httpx.Client) -> None:
     campaign = finished(listening_client)
     named = expect(
@@ -227,6 +229,7 @@ def test_the_command_shows_the_boundary_and_not_what_was_named(listening_client:
     assert f'"campaign": "{named["campaign"]}"' not in shown.stdout
 
 
+@sqlite_then_postgres
 def test_a_running_campaign_has_no_boundary_to_repeat(client: httpx.Client) -> None:
     campaign = submit(client, ball())
     answer = expect(client.post(f"{API}/{campaign}/repeats", json={}), 409)
@@ -234,12 +237,14 @@ def test_a_running_campaign_has_no_boundary_to_repeat(client: httpx.Client) -> N
     assert expect(client.get(f"{API}/{campaign}/repeats")) == []
 
 
+@sqlite_then_postgres
 def test_no_boundary_no_repeats(client: httpx.Client) -> None:
     campaign = finished(client)
     answer = expect(client.post(f"{API}/{campaign}/repeats", json={"t_b": 0.0}), 409)
     assert "has no boundary solutions at t_b 0, d_th 0.2" in answer["detail"]
 
 
+@sqlite_then_postgres
 def test_what_is_computed_is_not_repeated(client: httpx.Client) -> None:
     computed = ball(problem={"id": "mtq@1"}, repeats=5)
     answer = expect(client.post(API, json=computed), 422)
@@ -248,6 +253,7 @@ def test_what_is_computed_is_not_repeated(client: httpx.Client) -> None:
     ]
 
 
+@sqlite_then_postgres
 def test_a_campaign_is_deleted_with_its_repeats_once_they_ended(
     client: httpx.Client, engines: Engines
 ) -> None:
@@ -262,6 +268,7 @@ def test_a_campaign_is_deleted_with_its_repeats_once_they_ended(
     assert (counts["campaigns"], counts["follow_ups"], counts["solutions"], counts["jobs"]) == (0, 0, 0, 0)
 
 
+@sqlite_then_postgres
 def test_a_worker_that_waits_is_woken(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     for pause in ("RECHECK_S", "SHARED_RECHECK_S"):  # a look now and then would find them, too
         monkeypatch.setattr(service, pause, 600.0)
@@ -278,7 +285,6 @@ def test_a_worker_that_waits_is_woken(client: httpx.Client, monkeypatch: pytest.
         assert leased.result()
 
 
-@on_sqlite
 def test_repeats_go_on_after_the_coordinator_is_gone(database_url: str, small_problems: None) -> None:
     with coordinator(database_url) as client:
         campaign = submit(client, body(240, repeats=12))
@@ -292,7 +298,6 @@ def test_repeats_go_on_after_the_coordinator_is_gone(database_url: str, small_pr
         assert {one["evaluated"] for one in view["solutions"]} == {12}
 
 
-@on_sqlite
 def test_the_command_asks_then_shows_what_came(listening_client: httpx.Client, tmp_path: Path) -> None:
     campaign = finished(listening_client)
     picture = tmp_path / "repeats.png"
@@ -314,7 +319,6 @@ def test_the_command_asks_then_shows_what_came(listening_client: httpx.Client, t
         assert drawn.width == 1600
 
 
-@on_sqlite
 def test_unfinished_repeats_are_not_shown_as_a_verdict_nor_resumed(listening_client: httpx.Client) -> None:
     campaign = finished(listening_client)
     wanted = ["repeats", campaign, "--repeats", "12", "--t-b", "0.5", "--d-th", "0.05"]
@@ -336,6 +340,7 @@ def test_unfinished_repeats_are_not_shown_as_a_verdict_nor_resumed(listening_cli
     assert progress(listening_client, view["campaign"])["status"] == "paused", "whoever looks does not resume"
 
 
+@sqlite_then_postgres
 def test_retention_keeps_campaigns_with_young_repeats(
     client: httpx.Client, engines: Engines, database_url: str
 ) -> None:
@@ -356,7 +361,6 @@ def test_retention_keeps_campaigns_with_young_repeats(
     assert row_counts(engines)["campaigns"] == 0
 
 
-@on_sqlite
 def test_an_experiment_is_not_deleted_while_its_boundaries_are_repeated(client: httpx.Client) -> None:
     one = body()
     document = {

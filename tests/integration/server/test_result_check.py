@@ -5,7 +5,7 @@ from typing import Any
 import httpx
 import pytest
 from support.api import FakeWorker, ball, completes, coordinator, eventually, expect, progress, submit
-from support.databases import on_sqlite
+from support.databases import sqlite_then_postgres
 from support.problems import Ball
 from support.traffic import driven, traffic_worker
 
@@ -36,6 +36,7 @@ def fails(job: LeasedJob) -> JobFailed:
     return JobFailed(reason="crashed", message="boom")
 
 
+@sqlite_then_postgres
 def test_a_result_without_a_requirement_is_refused_and_its_job_retried(client: httpx.Client) -> None:
     campaign = submit(client, ball(simulations=20))
     bad, good = FakeWorker(client, id="bad", judge=says_nothing), FakeWorker(client, id="good")
@@ -48,6 +49,7 @@ def test_a_result_without_a_requirement_is_refused_and_its_job_retried(client: h
     assert (stands["status"], stands["evaluated"], stands["failed"]) == ("finished", 20, 0)
 
 
+@sqlite_then_postgres
 def test_a_refused_result_sent_again_charges_nothing(client: httpx.Client) -> None:
     submit(client, ball(simulations=20))
     worker = FakeWorker(client, judge=says_nothing)
@@ -58,6 +60,7 @@ def test_a_refused_result_sent_again_charges_nothing(client: httpx.Client) -> No
     assert (row["status"], row["attempt"]) == ("queued", 1)
 
 
+@sqlite_then_postgres
 def test_refused_results_bury_their_job_after_max_attempts(client: httpx.Client) -> None:
     submit(client, ball(simulations=20, execution={"max_attempts": 2}))
     worker = FakeWorker(client, judge=says_nothing)
@@ -77,6 +80,7 @@ def test_refused_results_bury_their_job_after_max_attempts(client: httpx.Client)
     assert "invalid result" in row["last_error"]
 
 
+@sqlite_then_postgres
 def test_other_results_of_the_same_message_are_stored(client: httpx.Client) -> None:
     submit(client, ball(simulations=20))
     worker = FakeWorker(client)
@@ -85,6 +89,7 @@ def test_other_results_of_the_same_message_are_stored(client: httpx.Client) -> N
     assert worker.report(jobs) == ["accepted", "invalid", *["accepted"] * (len(jobs) - 2)]
 
 
+@sqlite_then_postgres
 def test_of_two_results_of_a_job_in_the_first_message_of_a_campaign_the_first_counts(
     client: httpx.Client,
 ) -> None:
@@ -96,6 +101,7 @@ def test_of_two_results_of_a_job_in_the_first_message_of_a_campaign_the_first_co
     assert worker.report([good, good, good, bad, bad]) == expected
 
 
+@sqlite_then_postgres
 def test_a_refused_result_is_not_shared_with_another_campaign(client: httpx.Client) -> None:
     for _ in range(2):
         submit(client, ball(simulations=20))
@@ -104,6 +110,7 @@ def test_a_refused_result_is_not_shared_with_another_campaign(client: httpx.Clie
     assert expect(client.get("/api/v1/jobs", params={"status": "done"}))["jobs"] == []
 
 
+@sqlite_then_postgres
 def test_a_refused_result_counts_in_the_metrics_and_not_as_done(client: httpx.Client) -> None:
     submit(client, ball(simulations=20))
     worker = FakeWorker(client, judge=says_nothing)
@@ -113,6 +120,7 @@ def test_a_refused_result_counts_in_the_metrics_and_not_as_done(client: httpx.Cl
     assert 'brink_failures_total{reason="invalid-result"} 1.0' in told
 
 
+@sqlite_then_postgres
 def test_results_of_a_problem_that_cannot_be_made_are_stored_and_its_campaign_pauses(
     database_url: str, small_problems: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -130,6 +138,7 @@ def test_results_of_a_problem_that_cannot_be_made_are_stored_and_its_campaign_pa
         assert "a library of the plug-in is missing" in progress(client, campaign)["status_reason"]
 
 
+@sqlite_then_postgres
 def test_reason_with_a_character_that_no_database_stores_is_stored_without_it(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -144,7 +153,6 @@ def test_reason_with_a_character_that_no_database_stores_is_stored_without_it(
     assert row["last_error"].endswith("expected a number, got \N{REPLACEMENT CHARACTER}")
 
 
-@on_sqlite
 def test_a_measurement_without_its_objective_is_refused(client: httpx.Client) -> None:
     body = {
         "name": "slots",
@@ -160,7 +168,6 @@ def test_a_measurement_without_its_objective_is_refused(client: httpx.Client) ->
     assert set(worker.report(jobs)) == {"invalid"}
 
 
-@on_sqlite
 def test_a_result_without_an_objective_of_its_campaign_is_refused(client: httpx.Client) -> None:
     submit(client, TRAFFIC)
     worker = traffic_worker(client)
@@ -169,7 +176,6 @@ def test_a_result_without_an_objective_of_its_campaign_is_refused(client: httpx.
     assert worker.report([job]) == ["invalid"]
 
 
-@on_sqlite
 def test_a_result_without_an_objective_of_the_algorithm_is_refused(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,6 @@ import httpx
 import pytest
 from sqlalchemy import select
 from support.api import FakeWorker, ball, coordinator, expect, finish, submit
-from support.databases import on_sqlite
 from support.populated import fill
 
 from brink.server.db.engine import Engines
@@ -89,7 +88,6 @@ def paths(route: str, values: dict[str, list[str]]) -> Iterator[str]:
         yield route.format(**dict(zip(names, chosen, strict=True)))
 
 
-@on_sqlite
 @pytest.mark.usefixtures("small_problems")
 @pytest.mark.parametrize(
     "populate",
@@ -125,7 +123,6 @@ def test_no_get_changes_anything(
         assert {route for route, statuses in answered.items() if not statuses & {200, 202}} <= NO_ANSWER
 
 
-@on_sqlite
 @pytest.mark.usefixtures("small_problems")
 def test_a_link_enqueues_nothing_but_a_request_to_record_does_so_once(
     client: httpx.Client, engines: Engines

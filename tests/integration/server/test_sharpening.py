@@ -6,14 +6,13 @@ from typing import Any
 import httpx
 import pytest
 from support.api import FakeWorker, ball, expect, listening_coordinator
-from support.databases import Databases, module_on_sqlite
+from support.databases import Databases
 from support.problems import small_problems
 from support.sweep import by_seed
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
 
-pytestmark = module_on_sqlite
 API = "/api/v1/campaigns"
 PAIRS = {"eps": 0.1, "d_th": 0.1}
 LIMIT = 6

@@ -18,7 +18,6 @@ from support.api import (
     submit,
     undisturbed_digest,
 )
-from support.databases import on_sqlite
 from support.marks import mostly_long
 from support.problems import Ball, BallParams
 
@@ -33,8 +32,6 @@ from brink.server.user_code import USER_CODE
 from brink.sim import catalogue
 from brink.sim.episode import EpisodeSpec
 from brink.worker.wire import Completed
-
-pytestmark = on_sqlite
 
 
 class Fault:

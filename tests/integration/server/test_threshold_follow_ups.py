@@ -6,7 +6,7 @@ from typing import Any
 import httpx
 import pytest
 from support.api import FakeWorker, expect, listening_coordinator
-from support.databases import Databases, module_on_sqlite
+from support.databases import Databases
 from support.missed import PROBLEM, SECONDS, SIMULATOR, judge, missing
 from support.sweep import Sweep
 from typer.testing import CliRunner
@@ -15,7 +15,6 @@ from brink.cli.commands import app
 from brink.server.problems.catalogue import ALGORITHMS
 from brink.sim import catalogue
 
-pytestmark = module_on_sqlite
 API = "/api/v1/campaigns"
 
 

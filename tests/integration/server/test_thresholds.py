@@ -12,7 +12,7 @@ import httpx
 import numpy as np
 import pytest
 from support.api import FakeWorker, ball, expect, finish, listening_coordinator
-from support.databases import Databases, module_on_sqlite
+from support.databases import Databases
 from support.problems import Line, small_problems
 from support.sweep import Sweep, along_x, by_seed
 from typer.testing import CliRunner
@@ -24,7 +24,6 @@ from brink.server.problems.base import InProcessProblem, NoParams, Vectors
 from brink.server.problems.catalogue import ALGORITHMS, PROBLEMS
 from brink.sim import catalogue
 
-pytestmark = module_on_sqlite
 API = "/api/v1/campaigns"
 SHARED = along_x(0.0, [0.0, 2.0, 1.5, 0.5, 1.2])
 FRESH = along_x(0.0, [0.85, 0.9, 0.95, 1.0, 1.0, 1.05, 1.1, 1.15, 0.92, 0.97, 1.03, 1.08] * 3)

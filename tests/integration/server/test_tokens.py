@@ -12,7 +12,7 @@ import pytest
 import yaml
 from sqlalchemy import text
 from support.api import FakeWorker, ball, coordinator, eventually, expect, listening_coordinator, submit
-from support.databases import Databases, on_sqlite
+from support.databases import Databases, sqlite_then_postgres
 from typer.testing import CliRunner
 
 import brink.server.access.authentication
@@ -104,6 +104,7 @@ def bearer(token: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {token}"}
 
 
+@sqlite_then_postgres
 def test_each_scope_may_do_what_it_is_for(web: httpx.Client, tokens: dict[str, str]) -> None:
     campaign = expect(web.post("/api/v1/campaigns", json=ball(), headers=bearer(tokens["user"])), 201)["id"]
     for (method, path), scopes in ALLOWED.items():
@@ -116,6 +117,7 @@ def test_each_scope_may_do_what_it_is_for(web: httpx.Client, tokens: dict[str, s
                 assert f"scope is {scope}" in answer.json()["detail"]
 
 
+@sqlite_then_postgres
 def test_a_worker_runs_a_campaign_with_its_token(url: str, tokens: dict[str, str]) -> None:
     with (
         httpx.Client(base_url=url, headers=bearer(tokens["user"])) as user,
@@ -130,6 +132,7 @@ def test_a_worker_runs_a_campaign_with_its_token(url: str, tokens: dict[str, str
         )
 
 
+@sqlite_then_postgres
 def test_nothing_secret_is_stored(engines: Engines, tokens: dict[str, str]) -> None:
     with engines.reader.connect() as connection:
         rows = [tuple(row) for row in connection.execute(text("SELECT * FROM tokens"))]
@@ -140,6 +143,7 @@ def test_nothing_secret_is_stored(engines: Engines, tokens: dict[str, str]) -> N
         assert token_digest(token) in kept
 
 
+@sqlite_then_postgres
 def test_a_revoked_or_ended_token_opens_nothing_and_the_last_one_leaves_it_closed(
     web: httpx.Client, engines: Engines, database_url: str
 ) -> None:
@@ -167,6 +171,7 @@ def test_a_revoked_or_ended_token_opens_nothing_and_the_last_one_leaves_it_close
         assert web.get("/api/v1/campaigns", headers=headers).status_code == 401, "it does not open again"
 
 
+@sqlite_then_postgres
 def test_other_machines_are_let_in_where_there_are_tokens(engines: Engines, database_url: str) -> None:
     exposed = Settings(database=database_url, host="0.0.0.0")
     with pytest.raises(CannotListen, match="brink token create"):
@@ -175,6 +180,7 @@ def test_other_machines_are_let_in_where_there_are_tokens(engines: Engines, data
     check_exposed(exposed)
 
 
+@sqlite_then_postgres
 def test_looking_for_tokens_does_not_touch_a_database_of_an_older_schema(databases: Databases) -> None:
     with databases.database("old", migrated=False) as url:
         with pytest.raises(CannotListen, match="brink token create"):
@@ -186,6 +192,7 @@ def test_looking_for_tokens_does_not_touch_a_database_of_an_older_schema(databas
             looked.dispose()
 
 
+@sqlite_then_postgres
 def test_a_token_makes_so_many_requests_a_second(engines: Engines) -> None:
     now = 100.0
     gate = Authenticator(engines, token=None, exposed=False, rate_limit=10.0, clock=lambda: now)
@@ -201,6 +208,7 @@ def test_a_token_makes_so_many_requests_a_second(engines: Engines) -> None:
     assert {free.wait_s(one) for _ in range(100)} == {0.0}
 
 
+@sqlite_then_postgres
 def test_every_answer_has_the_headers_that_browsers_heed(web: httpx.Client) -> None:
     for path in ("/api/v1/campaigns", "/healthz", "/docs", "/nothing", "/metrics"):
         headers = web.get(path, headers={"Origin": "http://evil.example"}).headers
@@ -221,6 +229,7 @@ def test_a_run_works_on_a_database_with_tokens(engines: Engines, database_url: s
     assert "boundary.csv" in ran.stdout
 
 
+@sqlite_then_postgres
 def test_what_is_no_token_opens_nothing(web: httpx.Client, tokens: dict[str, str]) -> None:
     forged = tokens["read"][:-1] + ("0" if tokens["read"][-1] != "0" else "1")
     for given in NO_TOKENS:
@@ -232,7 +241,6 @@ def test_what_is_no_token_opens_nothing(web: httpx.Client, tokens: dict[str, str
         assert answer.headers["WWW-Authenticate"] == "Bearer"
 
 
-@on_sqlite
 def test_no_spelling_of_a_path_evades_scopes(web: httpx.Client, tokens: dict[str, str]) -> None:
     body = {"worker": {"id": "w"}, "capabilities": ["x"], "wait_s": 0}
     for path, after, scope in itertools.product(
@@ -245,11 +253,13 @@ def test_no_spelling_of_a_path_evades_scopes(web: httpx.Client, tokens: dict[str
         assert answer.status_code in (403, 404, 405), said
 
 
+@sqlite_then_postgres
 def test_a_scope_cannot_be_changed_by_changing_the_token(web: httpx.Client, tokens: dict[str, str]) -> None:
     widened = tokens["read"].replace("_read_", "_admin_")
     assert web.get("/api/v1/campaigns", headers=bearer(widened)).status_code == 401
 
 
+@sqlite_then_postgres
 def test_too_many_requests_get_a_retry_time(
     database_url: str, engines: Engines, small_problems: None
 ) -> None:

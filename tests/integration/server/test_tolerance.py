@@ -10,13 +10,13 @@ from typing import Any
 import httpx
 import pytest
 from support.api import coordinator, expect, submit
-from support.databases import Databases, module_on_sqlite
+from support.databases import Databases
 from support.tolerance import body, camera, finished
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
 
-pytestmark = [pytest.mark.usefixtures("smaller_library"), module_on_sqlite]
+pytestmark = pytest.mark.usefixtures("smaller_library")
 API = "/api/v1/campaigns"
 
 

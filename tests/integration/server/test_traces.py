@@ -24,7 +24,7 @@ from support.api import (
     row_counts,
     submit,
 )
-from support.databases import Databases, module_on_sqlite, on_sqlite
+from support.databases import Databases, module_sqlite_then_postgres, sqlite_then_postgres
 from support.problems import small_problems
 from support.traces import filmed, grey_jpeg, make_trace
 
@@ -60,6 +60,7 @@ def traces(document: bytes | None) -> Callable[[LeasedJob], Completed | JobFaile
     return judge
 
 
+@sqlite_then_postgres
 def test_trace_is_made_once_and_then_kept(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finish(client, UNTRACED, worker.judge)
@@ -84,6 +85,7 @@ def test_trace_is_made_once_and_then_kept(client: httpx.Client) -> None:
     expect(client.post(path), 204)
 
 
+@sqlite_then_postgres
 def test_request_for_a_trace_waits_for_the_worker(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finish(client, UNTRACED, worker.judge)
@@ -97,6 +99,7 @@ def test_request_for_a_trace_waits_for_the_worker(client: httpx.Client) -> None:
     assert (answers[0].status_code, answers[0].content) == (200, b"the trace")
 
 
+@sqlite_then_postgres
 def test_capable_worker_behind_another_is_woken(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -129,6 +132,7 @@ def test_capable_worker_behind_another_is_woken(
     waiting[0].join()
 
 
+@sqlite_then_postgres
 def test_trace_no_worker_can_make_is_refused(client: httpx.Client, engines: Engines) -> None:
     campaign = submit(client, ball())
     FakeWorker(client, capabilities=("another-simulator@1",)).lease()
@@ -144,6 +148,7 @@ def test_trace_no_worker_can_make_is_refused(client: httpx.Client, engines: Engi
     assert client.post(path).status_code == 202
 
 
+@sqlite_then_postgres
 def test_trace_wait_ends_when_workers_leave(
     database_url: str, engines: Engines, small_problems: None
 ) -> None:
@@ -157,6 +162,7 @@ def test_trace_wait_ends_when_workers_leave(
         expect(client.get(path, params={"wait_s": 20}), 503)
 
 
+@sqlite_then_postgres
 def test_worker_with_a_live_lease_can_make_a_trace(client: httpx.Client, engines: Engines) -> None:
     campaign = submit(client, ball())
     worker = FakeWorker(client)
@@ -168,6 +174,7 @@ def test_worker_with_a_live_lease_can_make_a_trace(client: httpx.Client, engines
     assert client.post(path).status_code == 202
 
 
+@sqlite_then_postgres
 def test_trace_job_is_leased_before_episodes(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finish(client, UNTRACED, worker.judge)
@@ -176,6 +183,7 @@ def test_trace_job_is_leased_before_episodes(client: httpx.Client) -> None:
     assert worker.lease(max_jobs=1)[0].record
 
 
+@sqlite_then_postgres
 def test_failed_trace_reports_its_error_until_it_is_retried(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=lambda _: JobFailed(reason="invalid", message="no such road"))
     campaign = finish(client, UNTRACED)
@@ -191,6 +199,7 @@ def test_failed_trace_reports_its_error_until_it_is_retried(client: httpx.Client
     assert client.get(path, params={"wait_s": 5}).content == b"the trace"
 
 
+@sqlite_then_postgres
 @pytest.mark.parametrize("garbage", ["no base64!", "AAA", "\u00fc"])
 def test_trace_that_is_not_base64_is_rejected(client: httpx.Client, garbage: str) -> None:
     worker = FakeWorker(client)
@@ -202,6 +211,7 @@ def test_trace_that_is_not_base64_is_rejected(client: httpx.Client, garbage: str
     assert error["pointer"] == "/results/0/outcome/trace"
 
 
+@sqlite_then_postgres
 def test_traces_of_the_best_boundary_solutions_are_kept(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"evidence"))
     campaign = submit(client, ball(execution={"keep_traces": 2}, simulations=120))
@@ -216,7 +226,6 @@ def test_traces_of_the_best_boundary_solutions_are_kept(client: httpx.Client) ->
 
 
 @pytest.mark.long("runs campaigns")
-@on_sqlite
 def test_a_run_without_pictures_records_no_traces(listening_client: httpx.Client, engines: Engines) -> None:
     body = parse_body(ball(simulations=120))
     worker = FakeWorker(listening_client)
@@ -255,6 +264,7 @@ def test_requested_traces_do_not_keep_a_campaign_from_finishing(client: httpx.Cl
     assert (done["status"], done["status_reason"]) == ("finished", "")
 
 
+@sqlite_then_postgres
 def test_cancelled_campaign_still_makes_traces(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = submit(client, ball())
@@ -301,6 +311,7 @@ def numbers(column: list[float | None]) -> np.ndarray:
     return np.array([np.nan if value is None else value for value in column])
 
 
+@module_sqlite_then_postgres
 def test_episode_has_the_trace_in_columns(ended: Ended) -> None:
     trace = make_trace()
     found = ended.episode(trace)
@@ -339,6 +350,7 @@ def test_episode_has_the_trace_in_columns(ended: Ended) -> None:
     assert found["words"]["report"] == "injected"
 
 
+@module_sqlite_then_postgres
 def test_film_has_boxes_and_serves_its_pictures_one_by_one(ended: Ended) -> None:
     path = ended.kept(filmed(make_trace(samples=40)).to_bytes())
     film = expect(ended.client.get(f"{path}/episode"))["film"]
@@ -360,6 +372,7 @@ def test_film_has_boxes_and_serves_its_pictures_one_by_one(ended: Ended) -> None
     assert "has 3 pictures" in expect(ended.client.get(f"{path}/pictures/3.jpg"), 404)["detail"]
 
 
+@module_sqlite_then_postgres
 def test_picture_that_is_no_jpeg_is_not_served(ended: Ended) -> None:
     trace = filmed(make_trace(samples=40))
     assert trace.film is not None
@@ -407,7 +420,6 @@ def _with_unbounded_scene(trace: Trace) -> Trace:
     return replace(trace, scene=(surface,))
 
 
-@module_on_sqlite
 @pytest.mark.parametrize(
     "spoil",
     [
@@ -426,14 +438,12 @@ def test_inconsistent_trace_is_a_conflict(ended: Ended, spoil: Callable[[Trace],
     assert "cannot be drawn" in expect(ended.client.get(f"{path}/episode"), 409)["detail"]
 
 
-@module_on_sqlite
 def test_document_that_is_no_trace_is_a_conflict(ended: Ended) -> None:
     path = ended.kept(b"the trace")
     assert "cannot be drawn" in expect(ended.client.get(f"{path}/episode"), 409)["detail"]
     expect(ended.client.get(f"{path}/pictures/0.jpg"), 404)
 
 
-@module_on_sqlite
 def test_malformed_descriptions_are_left_out(ended: Ended) -> None:
     behaviour: Json = {"mode": "detector", "perturbations": [{"gene": "snow", "level": {}}]}
     about: dict[str, Json] = {"spec": {"scenario": {"crossing_m": "far"}, "behaviour": behaviour}}
@@ -442,7 +452,6 @@ def test_malformed_descriptions_are_left_out(ended: Ended) -> None:
     assert found["words"]["scenario"].startswith("None")
 
 
-@module_on_sqlite
 def test_simulator_that_records_no_traces_has_no_episodes(ended: Ended) -> None:
     path = ended.kept(None)
     assert "records no trace" in expect(ended.client.get(f"{path}/episode"), 409)["detail"]
@@ -499,7 +508,6 @@ def assert_others_are_served(client: httpx.Client) -> None:
     assert FakeWorker(client, capabilities=("nothing",)).lease() == []
 
 
-@on_sqlite
 def test_drawing_does_not_block_other_requests(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = finish(client, UNTRACED)
     path = f"/api/v1/campaigns/{campaign}/solutions/3"
@@ -518,7 +526,6 @@ def test_drawing_does_not_block_other_requests(client: httpx.Client, monkeypatch
     assert statuses == [409] * MANY
 
 
-@on_sqlite
 @pytest.mark.parametrize(
     ("problem", "at_once"),
     [("mtq@1", SLOW_AT_ONCE), ("ball@1", PLUGIN_CHECKS_AT_ONCE)],

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from sqlalchemy import func, select
 from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, progress, reached, submit
-from support.databases import Databases, on_sqlite
+from support.databases import Databases, sqlite_then_postgres
 from support.marks import mostly_long
 from support.queue import Queue
 from support.urban_pairs import SAFE, UNSAFE, judged
@@ -79,6 +79,7 @@ def exported(
     return campaign, digest, file
 
 
+@sqlite_then_postgres
 def test_import_equals_what_was_exported(
     databases: Databases, exported: tuple[str, str, Path], tmp_path: Path
 ) -> None:
@@ -108,6 +109,7 @@ def members(file: Path) -> dict[str, bytes]:
         return {name: archive.read(name) for name in archive.namelist() if name != "manifest.json"}
 
 
+@sqlite_then_postgres
 def test_a_campaign_that_runs_goes_on_elsewhere_and_finds_the_same(
     databases: Databases, database_url: str, exported: tuple[str, str, Path], tmp_path: Path
 ) -> None:
@@ -129,6 +131,7 @@ def test_a_campaign_that_runs_goes_on_elsewhere_and_finds_the_same(
             assert progress(client, fresh)["simulations"] == 0, "results of files are lent to nobody"
 
 
+@sqlite_then_postgres
 def test_a_warm_campaign_goes_on_elsewhere_without_its_source(
     databases: Databases, database_url: str, tmp_path: Path
 ) -> None:
@@ -198,6 +201,7 @@ def known_of_pairs(client: httpx.Client, campaign: str, asked: dict[str, str]) -
     return pairs, counts
 
 
+@sqlite_then_postgres
 def test_follow_ups_go_along_and_go_on_elsewhere(
     databases: Databases, database_url: str, tmp_path: Path
 ) -> None:
@@ -225,7 +229,6 @@ def test_follow_ups_go_along_and_go_on_elsewhere(
             run("import", str(file), "--database", elsewhere)
 
 
-@on_sqlite
 def test_follow_ups_of_files_of_version_1_are_read(
     databases: Databases, database_url: str, tmp_path: Path
 ) -> None:
@@ -260,7 +263,6 @@ def test_follow_ups_of_files_of_version_1_are_read(
 
 
 @pytest.mark.long("imports forged files")
-@on_sqlite
 def test_forged_follow_ups_change_nothing(
     databases: Databases, elsewhere: str, database_url: str, tmp_path: Path
 ) -> None:
@@ -467,7 +469,6 @@ WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
 }
 
 
-@on_sqlite
 @pytest.mark.parametrize("name", WRONG)
 def test_a_forged_file_changes_nothing(elsewhere: str, exported: tuple[str, str, Path], name: str) -> None:
     changes, message = WRONG[name]
@@ -579,6 +580,7 @@ LIKE_THE_API: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] 
 """What the API would refuse, too."""
 
 
+@sqlite_then_postgres
 def test_what_the_api_would_refuse_is_refused_in_a_file(
     exported: tuple[str, str, Path], tmp_path: Path
 ) -> None:
@@ -694,7 +696,6 @@ def test_a_file_that_unpacks_to_much_more_is_refused_before_it_does(
     assert not database.exists() or bomb is long_line, "nothing is created for a file that is none"
 
 
-@on_sqlite
 def test_an_imported_campaign_that_may_run_is_checked_like_a_new_one(
     databases: Databases, elsewhere: str, database_url: str, tmp_path: Path
 ) -> None:
@@ -746,7 +747,6 @@ def _holds_all(job: LeasedJob) -> Completed:
     return Completed(verdicts=dict.fromkeys(job.spec["requirements"], verdict))
 
 
-@on_sqlite
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -775,6 +775,7 @@ def test_a_verdict_that_its_result_does_not_give_is_refused(
     assert run("import", str(file), "--database", elsewhere).exit_code == 0
 
 
+@sqlite_then_postgres
 def test_damage_is_noticed(exported: tuple[str, str, Path], tmp_path: Path) -> None:
     changed = rewritten(
         exported[2], {"solutions.jsonl": lambda data: data.replace(b"safe", b"sage")}, sums=False
@@ -790,7 +791,6 @@ def test_damage_is_noticed(exported: tuple[str, str, Path], tmp_path: Path) -> N
             run("import", str(tmp_path / other), "--database", f"sqlite:///{tmp_path}/new.db")
 
 
-@on_sqlite
 @pytest.mark.parametrize("places", mostly_long([9, 60], [9], "flips many bits"))
 def test_a_flipped_bit_is_noticed_or_harmless(
     databases: Databases, exported: tuple[str, str, Path], tmp_path: Path, places: int

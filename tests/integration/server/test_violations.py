@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 from rich.console import Console
 from support.api import expect, listening_coordinator, progress, submit
-from support.databases import Databases
+from support.databases import Databases, module_sqlite_then_postgres
 from support.traffic import traffic_worker
 from typer.testing import CliRunner
 
@@ -73,6 +73,7 @@ def test_every_unsafe_solution_has_a_violation_with_a_type(client: httpx.Client,
 BEST = ["careful", "ideal", "no"]
 
 
+@module_sqlite_then_postgres
 def test_types_begin_with_what_a_careful_driver_would_have_avoided(
     client: httpx.Client, campaign: str
 ) -> None:
@@ -112,6 +113,7 @@ def test_types_begin_with_what_a_careful_driver_would_have_avoided(
     assert "Regulation No. 157, Annex 3" in found["explanation"]
 
 
+@module_sqlite_then_postgres
 def test_violations_can_be_filtered_by_who_would_have_avoided_them(
     client: httpx.Client, campaign: str
 ) -> None:
@@ -130,6 +132,7 @@ def test_violations_can_be_filtered_by_who_would_have_avoided_them(
     expect(client.get(path, params={"avoidable": "nobody"}), 422)
 
 
+@module_sqlite_then_postgres
 def test_a_solution_says_who_would_have_avoided_each_of_its_violations(
     client: httpx.Client, campaign: str
 ) -> None:
@@ -158,6 +161,7 @@ def example(found: dict[str, Any], avoidable: str) -> int:
     return next(number for number, kinds in sorted(by_number.items()) if kinds == {avoidable})
 
 
+@module_sqlite_then_postgres
 def test_an_episode_has_the_drive_of_the_careful_driver_who_avoids_its_violation(
     client: httpx.Client, campaign: str
 ) -> None:
@@ -195,6 +199,7 @@ def expect_picture(response: httpx.Response) -> bytes:
     return response.content
 
 
+@module_sqlite_then_postgres
 def test_an_episode_whose_violation_nobody_avoids_is_shown_alone(client: httpx.Client, campaign: str) -> None:
     path = f"/api/v1/campaigns/{campaign}"
     number = example(expect(client.get(f"{path}/violations")), "no")
@@ -204,6 +209,7 @@ def test_an_episode_whose_violation_nobody_avoids_is_shown_alone(client: httpx.C
     assert picture.width != STILL_WIDTH_PX
 
 
+@module_sqlite_then_postgres
 def test_the_finding_begins_with_what_a_careful_driver_would_have_avoided(
     client: httpx.Client, campaign: str
 ) -> None:
@@ -220,6 +226,7 @@ def test_the_finding_begins_with_what_a_careful_driver_would_have_avoided(
     assert view["explanation"] == found["explanation"]
 
 
+@module_sqlite_then_postgres
 def test_a_name_makes_a_type_and_can_be_taken_back(client: httpx.Client, campaign: str) -> None:
     path = f"/api/v1/campaigns/{campaign}/violations"
     before = expect(client.get(path))
@@ -236,6 +243,7 @@ def test_a_name_makes_a_type_and_can_be_taken_back(client: httpx.Client, campaig
     assert expect(client.get(path)) == before
 
 
+@module_sqlite_then_postgres
 def test_names_of_what_is_not_there_are_refused(client: httpx.Client, campaign: str) -> None:
     path = f"/api/v1/campaigns/{campaign}/violations"
     one = expect(client.get(path))["violations"][0]
@@ -264,6 +272,7 @@ def test_a_search_for_violations_says_so_while_it_runs(client: httpx.Client, cap
     assert "best fitness" not in said
 
 
+@module_sqlite_then_postgres
 def test_nothing_is_said_of_a_boundary_that_was_not_searched_for(client: httpx.Client, campaign: str) -> None:
     place = ["--server", str(client.base_url)]
     assert "boundary" not in CliRunner().invoke(app, ["status", campaign, *place]).stdout
@@ -272,6 +281,7 @@ def test_nothing_is_said_of_a_boundary_that_was_not_searched_for(client: httpx.C
     assert expect(client.get(f"/api/v1/campaigns/{campaign}"))["finds"] == ["violations"]
 
 
+@module_sqlite_then_postgres
 def test_a_problem_without_violations_says_so(client: httpx.Client) -> None:
     body = {
         "name": "m",
@@ -284,6 +294,7 @@ def test_a_problem_without_violations_says_so(client: httpx.Client) -> None:
     assert "as for npc-actions@1, not for mtq@1; see what it found with: brink report" in detail
 
 
+@module_sqlite_then_postgres
 def test_command_line_names_them(
     client: httpx.Client, campaign: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -314,6 +325,7 @@ def test_command_line_names_them(
         assert refused.exit_code != 0
 
 
+@module_sqlite_then_postgres
 def test_the_command_line_says_which_violation_is_not_there(client: httpx.Client, campaign: str) -> None:
     found = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"))["violations"]
     safe = next(number for number in range(40) if number not in {one["number"] for one in found})
@@ -333,6 +345,7 @@ def test_the_command_line_says_which_violation_is_not_there(client: httpx.Client
         assert message in str(said.exception)
 
 
+@module_sqlite_then_postgres
 def test_files_hold_every_violation(client: httpx.Client, campaign: str, tmp_path: Path) -> None:
     found = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"))
     document, table = write_violations(Violations.model_validate(found), tmp_path)

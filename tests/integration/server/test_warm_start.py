@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 import pytest
 from support.api import FakeWorker, ball, coordinator, expect, finish, progress, row_counts, submit
-from support.databases import Databases, module_on_sqlite
+from support.databases import Databases, module_sqlite_then_postgres
 from support.marks import mostly_long
 from support.problems import small_problems
 
@@ -77,6 +77,7 @@ def point(x: float, y: float, robustness: float | None = None) -> dict[str, Any]
     )
 
 
+@module_sqlite_then_postgres
 @pytest.mark.parametrize(
     "algorithm",
     mostly_long(
@@ -166,6 +167,7 @@ def test_known_solutions_are_listed_with_where_they_come_from(client: httpx.Clie
     assert progress(client, earlier)["known"] is None
 
 
+@module_sqlite_then_postgres
 def test_given_points_are_simulated_first_and_given_results_not_at_all(client: httpx.Client) -> None:
     points = [point(0.25, 0.5), point(-1.5, 1.25)]
     start = {"solutions": [point(0.5, 0.5, -0.3), *points, point(1.9, 1.9, 1.7)]}
@@ -229,7 +231,6 @@ def test_another_problem_is_refused_and_its_solutions_alone_are_simulated_first(
     assert (np.diff(sizes[1::2]) >= 0).all()
 
 
-@module_on_sqlite
 def test_more_points_than_the_budget_are_refused(client: httpx.Client, earlier: str) -> None:
     start = {"campaign": earlier, "results": False}
     error = error_of(client, ball(algorithm=RANDOM, start_from=start, simulations=59))
@@ -238,6 +239,7 @@ def test_more_points_than_the_budget_are_refused(client: httpx.Client, earlier: 
     assert "start_from.limit" in error["message"]
 
 
+@module_sqlite_then_postgres
 def test_a_campaign_that_runs_is_no_source(client: httpx.Client) -> None:
     running = submit(client, ball(algorithm=RANDOM, execution={"cache": False}))
     error = error_of(client, ball(start_from={"campaign": running}))
@@ -324,7 +326,6 @@ BAD = [
 ]
 
 
-@module_on_sqlite
 @pytest.mark.parametrize(("start", "pointer", "message", "nearest"), BAD)
 def test_answer_points_at_what_is_wrong(
     client: httpx.Client, engines: Engines, start: Body, pointer: str, message: str, nearest: str | None
@@ -339,7 +340,6 @@ def test_answer_points_at_what_is_wrong(
     assert checked.status_code == 422
 
 
-@module_on_sqlite
 @pytest.mark.parametrize(
     "algorithm", ["nsga2@1", "mosat@1", "mumoea@1", "simood-ga@1", "repeat@1", "minimise@1"]
 )
@@ -376,6 +376,7 @@ def test_a_campaign_outlives_the_one_that_it_started_from(client: httpx.Client) 
     assert len(expect(client.get(f"/api/v1/campaigns/{campaign}/known"))["solutions"]) == 60
 
 
+@module_sqlite_then_postgres
 def test_known_results_count_towards_the_boundary_only_where_the_answer_says_so(
     client: httpx.Client, earlier: str
 ) -> None:
@@ -390,6 +391,7 @@ def test_known_results_count_towards_the_boundary_only_where_the_answer_says_so(
     assert "known results" not in cold["note"]
 
 
+@module_sqlite_then_postgres
 def test_another_space_is_refused_with_what_differs(client: httpx.Client, earlier: str) -> None:
     body = ball(problem={"id": "line@1"}, algorithm=RANDOM, start_from={"campaign": earlier})
     error = error_of(client, body)
@@ -397,7 +399,6 @@ def test_another_space_is_refused_with_what_differs(client: httpx.Client, earlie
     assert "searches another space: it has what.y, this one none" in error["message"]
 
 
-@module_on_sqlite
 def test_robustness_that_is_no_number_is_refused(client: httpx.Client) -> None:
     content = json.dumps(ball(start_from={"solutions": [point(0, 0, 9.0)]})).replace("9.0", "NaN")
     answer = client.post("/api/v1/campaigns", content=content, headers={"Content-Type": "application/json"})
