@@ -92,13 +92,15 @@ def test_intervals_of_few_synthetic_thresholds_hold() -> None:
     assert chancy <= 0.2
 
 
-@pytest.mark.long("a thousand thresholds of seven shapes; a few are estimated every time")
+@pytest.mark.long("hundreds of thresholds of seven shapes; a few are estimated every time")
 @pytest.mark.parametrize("independent", [False, True])
-@pytest.mark.parametrize("shape", SHAPES)
-def test_intervals_hold_whatever_the_shape(shape: str, independent: bool) -> None:
-    inside, chancy = covered(shape, 72, independent=independent)
-    assert inside >= 0.9 * 0.9
-    assert chancy <= (0.2 if shape == "cauchy" else 0.15)
+def test_intervals_hold_whatever_the_shape(independent: bool) -> None:
+    """The 50% points of 168 thresholds are in 90% intervals, but for chance (two standard errors)."""
+    found = {shape: covered(shape, 24, independent=independent) for shape in SHAPES}
+    assert np.mean([inside for inside, _ in found.values()]) >= 0.855
+    for shape, (inside, chancy) in found.items():
+        assert inside >= 0.75, shape
+        assert chancy <= (0.2 if shape == "cauchy" else 0.15), shape
 
 
 @pytest.mark.parametrize("level", [0.5, 2 / 3])

@@ -281,18 +281,22 @@ def test_batches_do_not_depend_on_who_makes_them(street_images: TrainingSet) -> 
 
 
 @pytest.fixture(scope="module")
-def uninterrupted(street_images: TrainingSet, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Tensor]:
-    return weights_after(tmp_path_factory.mktemp("whole"), street_images)
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("whole")
 
 
-@pytest.mark.parametrize("complete", [1, 3])
+@pytest.fixture(scope="module")
+def uninterrupted(street_images: TrainingSet, whole: Path) -> dict[str, Tensor]:
+    return weights_after(whole, street_images)
+
+
 def test_an_interrupted_training_goes_on_with_the_same_result(
-    complete: int,
     street_images: TrainingSet,
     uninterrupted: dict[str, Tensor],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    complete = 3  # one after the first validation
     trained = 0
 
     def counted(*given: Any) -> float:
@@ -314,7 +318,7 @@ def test_an_interrupted_training_goes_on_with_the_same_result(
     assert all(torch.equal(found[name], value) for name, value in uninterrupted.items())
 
 
-def test_a_checkpoint_of_other_settings_is_refused(street_images: TrainingSet, tmp_path: Path) -> None:
-    weights_after(tmp_path, street_images)
+@pytest.mark.usefixtures("uninterrupted")
+def test_a_checkpoint_of_other_settings_is_refused(street_images: TrainingSet, whole: Path) -> None:
     with pytest.raises(ValueError, match="expected the state of a run with"):
-        weights_after(tmp_path, street_images, replace(SETTINGS, seed=2))
+        weights_after(whole, street_images, replace(SETTINGS, seed=2))
