@@ -243,31 +243,21 @@ def pairs(
 
     Example: brink experiment pairs 3f2a --confirm 30 --component
     """
-    from brink.cli.experiment_findings import PAIRS, fetch_found, follow_up_here
-    from brink.cli.experiment_pairs import print_experiment_pairs
+    from brink.cli.experiment_findings import PAIRS, show_found
 
     settings = {key: value for key, value in (("eps", eps), ("d_th", d_th)) if value is not None}
-    screen, complete = console(stderr=as_json), True
-    if confirm or component:
-        complete = follow_up_here(
-            PAIRS,
-            name,
-            settings,
-            screen,
-            confirm=confirm or 0,
-            component=component,
-            workers=workers,
-            server=server,
-            database=database,
-        )
-    found = with_api(
-        server, database, lambda api: fetch_found(api, PAIRS, name, screen, alpha=alpha, **settings)
+    show_found(
+        PAIRS,
+        name,
+        settings,
+        alpha=alpha,
+        confirm=confirm or 0,
+        component=component,
+        workers=workers,
+        server=server,
+        database=database,
+        as_json=as_json,
     )
-    if as_json:
-        print_json(found.model_dump(mode="json"))
-    else:
-        print_experiment_pairs(screen, found)
-    raise typer.Exit(int(not complete))
 
 
 @experiment.command()
@@ -301,31 +291,21 @@ def thresholds(
 
     Example: brink experiment thresholds 3f2a --confirm 30 --component
     """
-    from brink.cli.experiment_findings import THRESHOLDS, fetch_found, follow_up_here
-    from brink.cli.experiment_thresholds import print_experiment_thresholds
+    from brink.cli.experiment_findings import THRESHOLDS, show_found
 
     settings = {} if d_th is None else {"d_th": d_th}
-    screen, complete = console(stderr=as_json), True
-    if confirm or component:
-        complete = follow_up_here(
-            THRESHOLDS,
-            name,
-            settings,
-            screen,
-            confirm=confirm or 0,
-            component=component,
-            workers=workers,
-            server=server,
-            database=database,
-        )
-    found = with_api(
-        server, database, lambda api: fetch_found(api, THRESHOLDS, name, screen, alpha=alpha, **settings)
+    show_found(
+        THRESHOLDS,
+        name,
+        settings,
+        alpha=alpha,
+        confirm=confirm or 0,
+        component=component,
+        workers=workers,
+        server=server,
+        database=database,
+        as_json=as_json,
     )
-    if as_json:
-        print_json(found.model_dump(mode="json"))
-    else:
-        print_experiment_thresholds(screen, found)
-    raise typer.Exit(int(not complete))
 
 
 @experiment.command()

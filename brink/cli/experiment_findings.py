@@ -1,23 +1,27 @@
 """What an experiment found, pairs or thresholds: fetched, and followed up in all of its campaigns."""
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Generic, TypeVar
 
+import typer
 from rich.console import Console
+from rich.text import Text
 
 from brink.api.client import Api, CoordinatorError
 from brink.api.follow_ups import OPEN, continue_follow_up, follow_up_options, follow_up_requests
 from brink.api.live import FollowUpsDisplay, Steps
 from brink.cli.follow_ups import THRESHOLDS_AGAIN
 from brink.cli.local import CommandSession, run_locally, stopping
-from brink.cli.options import settings_with, with_api
-from brink.server.api.experiment_pairs import ExperimentPairs, PairRepeatView
-from brink.server.api.experiment_thresholds import ExperimentThresholds, ThresholdRepeatView
+from brink.cli.options import console, plain_table, print_json, settings_with, with_api
+from brink.report import experiment_found
+from brink.report.experiment_found import FoundWords, left_out_sentences
+from brink.search.analysis.count_comparison import FoundRepeat, by_problem
 from brink.server.api.schemas import ExperimentView
 from brink.server.campaigns.follow_ups.question import questions
 from brink.server.campaigns.plan import make_plan
+from brink.server.findings.experiments import ExperimentPairs, ExperimentThresholds
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.problems.catalogue import check_extra
 from brink.server.states import CampaignStatus, FollowUpKind
@@ -30,19 +34,17 @@ class FoundKind(Generic[V]):
     """What the campaigns of an experiment found, of one kind.
 
     Attributes:
-        name: Its section of the experiment, and the end of its paths.
+        words: How it is reported; its name is the section of the experiment, and the end of its paths.
         view: What a coordinator answers.
         computing: What a coordinator does meanwhile.
         settings: Returns what counts, as a follow-up of a campaign is asked for.
-        is_known: Returns whether a follow-up, given by its request, would show nothing new about a campaign.
         simulates: What each follow-up simulates, in a few words.
     """
 
-    name: str
+    words: FoundWords
     view: type[V]
     computing: str
     settings: Callable[[V], Mapping[str, float]]
-    is_known: Callable[[Any, Mapping[str, Any]], bool]
     simulates: Mapping[FollowUpKind, str]
 
 
@@ -60,7 +62,7 @@ async def fetch_found(api: Api, kind: FoundKind[V], experiment: str, screen: Con
         CoordinatorError: The experiment does not exist.
     """
     with Steps(screen, kind.computing) as steps:
-        path = f"/experiments/{experiment}/{kind.name}"
+        path = f"/experiments/{experiment}/{kind.words.name}"
         return await api.read_computed(kind.view, path, settings, steps.show)
 
 
@@ -98,11 +100,11 @@ async def ask_follow_ups(
                 if stop is not None and stop.is_set():
                     return asked, False
                 reason = one.problem, request["kind"]
-                if kind.is_known(one, request) or reason in refused:
+                if _is_known(one, request) or reason in refused:
                     continue
                 try:
                     follow_up = await api.send(
-                        FollowUpView, f"/campaigns/{one.campaign}/{kind.name}/follow-ups", request
+                        FollowUpView, f"/campaigns/{one.campaign}/{kind.words.name}/follow-ups", request
                     )
                 except CoordinatorError as error:
                     refused[reason] = f"campaign {one.campaign}: {error}"
@@ -147,34 +149,37 @@ async def run_follow_ups(
     return complete and not session.stop.is_set()
 
 
-def follow_up_here(
+def show_found(
     kind: FoundKind[V],
     experiment: str,
     settings: Mapping[str, float],
-    screen: Console,
     *,
+    alpha: float,
     confirm: int,
     component: bool,
     workers: int,
     server: str | None,
     database: str | None,
-) -> bool:
-    """Start the follow-ups of all campaigns of an experiment and, without a server, run them to their end.
+    as_json: bool,
+) -> None:
+    """Print what an experiment found, having followed it up as asked: without a server, here and to the end.
 
     Args:
-        kind: What is followed up.
+        kind: What is shown.
         experiment: Its id.
         settings: What counts, where that is not the experiment's own.
-        screen: Console for progress and hints.
+        alpha: Corrected p-value up to which a difference is significant, in (0, 1).
         confirm: Most simulations of each side with other seeds; 0 for none.
         component: Whether to ask if the component is to blame.
         workers: Number of worker processes.
         server: URL of a coordinator; None runs one here.
         database: URL of the database.
+        as_json: Whether to print JSON.
 
-    Returns:
-        Whether nothing was refused or stopped.
+    Raises:
+        Exit: At the end; with status 1 if a follow-up was refused or stopped.
     """
+    screen, complete = console(stderr=as_json), True
 
     async def run(session: CommandSession) -> bool:
         async with stopping(session.stop):
@@ -186,7 +191,7 @@ def follow_up_here(
                 requests = follow_up_requests(settings, confirm, component=component)
                 session.hint(
                     "stopped; nothing is lost. Continue with",
-                    f"experiment {kind.name} {experiment} {follow_up_options(requests)}",
+                    f"experiment {kind.words.name} {experiment} {follow_up_options(requests)}",
                 )
             return complete
 
@@ -202,9 +207,19 @@ def follow_up_here(
             )
         return complete
 
-    if server is not None:
-        return with_api(server, database, ask)
-    return run_locally(settings_with(database=database, port=0), screen, run)
+    if confirm or component:
+        if server is not None:
+            complete = with_api(server, database, ask)
+        else:
+            complete = run_locally(settings_with(database=database, port=0), screen, run)
+    found = with_api(
+        server, database, lambda api: fetch_found(api, kind, experiment, screen, alpha=alpha, **settings)
+    )
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        print_found(screen, kind.words, found)
+    raise typer.Exit(int(not complete))
 
 
 async def _check_extras(api: Api, experiment: str) -> None:
@@ -214,39 +229,49 @@ async def _check_extras(api: Api, experiment: str) -> None:
         check_extra(make_plan(cell.body).problem)
 
 
-def _knows_pairs(one: PairRepeatView, request: Mapping[str, Any]) -> bool:
-    if one.computed or not one.distinct:
+def _is_known(one: FoundRepeat, request: Mapping[str, Any]) -> bool:
+    """Return whether a follow-up, given by its request, would show nothing new about a campaign."""
+    if one.computed or not one.total:
         return True
     if request["kind"] == FollowUpKind.COMPONENT:
-        return one.component + one.scenario == one.distinct
-    if (one.confirmed or 0) + one.refuted == one.distinct:
+        return one.component + one.scenario == one.total
+    if (one.confirmed or 0) + one.refuted == one.confirmable:
         return True
-    return one.tried == one.distinct and one.drives >= int(request["repeats"])
+    return one.tried == one.confirmable and one.drives >= int(request["repeats"])
 
 
-def _knows_thresholds(one: ThresholdRepeatView, request: Mapping[str, Any]) -> bool:
-    if one.computed or not one.found:
-        return True
-    if request["kind"] == FollowUpKind.COMPONENT:
-        return one.component + one.scenario == one.found
-    if (one.confirmed or 0) + one.refuted == one.paired:
-        return True
-    return one.tried == one.paired and one.drives >= int(request["repeats"])
+def print_found(screen: Console, words: FoundWords, found: ExperimentPairs | ExperimentThresholds) -> None:
+    """Print what each method found, and how methods compare."""
+
+    def say(sentences: Iterable[str]) -> None:
+        for sentence in sentences:
+            screen.print(sentence.replace("**", "").rstrip(), soft_wrap=True)
+
+    say(left_out_sentences(found.left_out, words.name))
+    if not found.repeats and not found.left_out:
+        screen.print("no campaign has finished yet")
+    for problem in by_problem(found.repeats):
+        title = f"{problem}: {words.title[0].lower()}{words.title[1:]}, {found.counted} campaigns"
+        table = plain_table("", *words.headings, right=words.headings, title=title)
+        for method, cells in words.cells(found, problem):
+            table.add_row(Text(method), *map(Text, cells))
+        screen.print(table, "")
+        screen.print(words.settings(found), soft_wrap=True, style="dim")
+        say(words.sentences(found, problem))
+        screen.print()
 
 
 PAIRS: Final = FoundKind(
-    name="pairs",
+    words=experiment_found.PAIRS,
     view=ExperimentPairs,
     computing="searching for pairs",
     settings=lambda found: {"eps": found.eps, "d_th": found.d_th},
-    is_known=_knows_pairs,
     simulates={each.kind: each.simulates for each in questions()},
 )
 THRESHOLDS: Final = FoundKind(
-    name="thresholds",
+    words=experiment_found.THRESHOLDS,
     view=ExperimentThresholds,
     computing="estimating thresholds",
     settings=lambda found: {},
-    is_known=_knows_thresholds,
     simulates=THRESHOLDS_AGAIN,
 )

@@ -1,11 +1,9 @@
 """Running an experiment to its end on this machine, and its results as tables, figures and a report."""
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -13,18 +11,23 @@ from rich.console import Console
 from brink.api.client import Api
 from brink.api.live import ExperimentDisplay, Steps
 from brink.api.runs import ExperimentRun
-from brink.cli.experiment_findings import PAIRS, THRESHOLDS, FoundKind, V, fetch_found, run_follow_ups
-from brink.cli.experiment_pairs import pair_repeats_of, print_experiment_pairs
-from brink.cli.experiment_thresholds import print_experiment_thresholds, threshold_repeats_of
+from brink.cli.experiment_findings import (
+    PAIRS,
+    THRESHOLDS,
+    FoundKind,
+    V,
+    fetch_found,
+    print_found,
+    run_follow_ups,
+)
 from brink.cli.local import CommandSession, RunOptions, run_to_end
 from brink.cli.options import console, file_name, plain_table, print_json
-from brink.report.experiment import ReportedPairs, ReportedThresholds, html_report, markdown_report, sentences
+from brink.report.experiment import ReportedFound, html_report, markdown_report, sentences
+from brink.report.experiment_found import Found, FoundWords
 from brink.search.analysis.comparison import Repeat, duels, standings
-from brink.search.analysis.count_comparison import problems_of
+from brink.search.analysis.count_comparison import FoundRepeat, by_problem
 from brink.search.analysis.paper import LEVEL, Measure
 from brink.search.analysis.scores import Control, Figures, Scores
-from brink.server.api.experiment_pairs import ExperimentPairs
-from brink.server.api.experiment_thresholds import ExperimentThresholds
 from brink.server.api.experiments import Results
 from brink.server.api.schemas import ControlView, ExperimentProgress, RepeatView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
@@ -33,9 +36,6 @@ from brink.server.errors import InvalidInput
 from brink.server.experiments.body import ExperimentBody, FollowUpChoice
 from brink.server.experiments.checks import check_follow_ups
 from brink.server.problems.catalogue import check_extra
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,10 +158,8 @@ def print_results(screen: Console, results: Results) -> None:
     if not repeats:
         screen.print("no campaign has finished yet")
         return
-    if results.thresholds is not None:
-        print_experiment_thresholds(screen, results.thresholds)
-    if results.pairs is not None:
-        print_experiment_pairs(screen, results.pairs)
+    for words, found in _found(results):
+        print_found(screen, words, found)
     scored, compared = standings(repeats), duels(repeats, level=results.alpha)
     default = [one for one in scored if (one.t_b, one.d_th) == (DEFAULT_T_B, DEFAULT_D_TH)]
     for problem in dict.fromkeys(one.problem for one in repeats):
@@ -214,8 +212,10 @@ def write_report(results: Results, elapsed_s: float, body: ExperimentBody, folde
                 name = f"figures/{measure}-{kind}{f'-{number}' if len(problems) > 1 else ''}.png"
                 draw(repeats, problem, measure).savefig(folder / name, dpi=DPI, metadata={"Software": None})
                 pictures[problem, measure, kind] = name
-    thresholds = None if results.thresholds is None else _write_thresholds(results.thresholds, folder)
-    pairs = None if results.pairs is None else _write_pairs(results.pairs, folder)
+    found = [
+        ReportedFound(words=words, found=one, pictures=_draw(words.name, one.repeats, folder))
+        for words, one in _found(results)
+    ]
     text = markdown_report(
         body,
         repeats,
@@ -223,48 +223,33 @@ def write_report(results: Results, elapsed_s: float, body: ExperimentBody, folde
         experiment=results.id,
         created_at=results.created_at,
         elapsed_s=elapsed_s,
-        thresholds=thresholds,
-        pairs=pairs,
+        found=found,
         level=results.alpha,
     )
     files = [folder / "report.html", folder / "report.md", folder / "results.json"]
     files[0].write_text(html_report(text, results.name, folder), encoding="utf-8")
     files[1].write_text(text, encoding="utf-8")
     files[2].write_text(results.model_dump_json(indent=1) + "\n", encoding="utf-8")
-    drawn = [name for found in (thresholds, pairs) if found for name in found.pictures.values()]
+    drawn = [name for one in found for name in one.pictures.values()]
     drawn += pictures.values()
     return [*files, *(folder / name for name in drawn)]
 
 
-def _write_thresholds(thresholds: ExperimentThresholds, folder: Path) -> ReportedThresholds:
-    """Draw the thresholds of each problem into the folder of a report."""
-    from brink.plots.experiment import figure_thresholds
-
-    repeats = threshold_repeats_of(thresholds)
-    pictures = _draw_each("thresholds", problems_of(repeats), partial(figure_thresholds, repeats), folder)
-    return ReportedThresholds(repeats=repeats, d_th=thresholds.d_th, pictures=pictures)
+def _found(results: Results) -> list[tuple[FoundWords, Found]]:
+    """Return what the experiment asks for besides, and how it is reported."""
+    both = ((THRESHOLDS.words, results.thresholds), (PAIRS.words, results.pairs))
+    return [(words, found) for words, found in both if found is not None]
 
 
-def _write_pairs(pairs: ExperimentPairs, folder: Path) -> ReportedPairs:
-    """Draw the pairs of each problem into the folder of a report."""
-    from brink.plots.experiment import figure_pairs
-
-    repeats = pair_repeats_of(pairs)
-    pictures = _draw_each("pairs", problems_of(repeats), partial(figure_pairs, repeats), folder)
-    return ReportedPairs(
-        repeats=repeats, eps=pairs.eps, d_th=pairs.d_th, pictures=pictures, left_out=pairs.left_out
-    )
-
-
-def _draw_each(
-    stem: str, problems: Sequence[str], draw: "Callable[[str], Figure]", folder: Path
-) -> dict[str, str]:
+def _draw(stem: str, repeats: Sequence[FoundRepeat], folder: Path) -> dict[str, str]:
     """Draw a figure of each problem into the folder of a report; return the names of the files."""
+    from brink.plots.experiment import figure_found
     from brink.plots.style import DPI
 
     pictures = {}
+    problems = by_problem(repeats)
     for number, problem in enumerate(problems, start=1):
         name = f"figures/{stem}{f'-{number}' if len(problems) > 1 else ''}.png"
-        draw(problem).savefig(folder / name, dpi=DPI, metadata={"Software": None})
+        figure_found(repeats, problem).savefig(folder / name, dpi=DPI, metadata={"Software": None})
         pictures[problem] = name
     return pictures

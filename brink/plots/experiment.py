@@ -26,14 +26,11 @@ from brink.plots.style import (
     show_percent,
     style_axes,
 )
-from brink.search.analysis import pair_comparison, threshold_comparison
 from brink.search.analysis.comparison import Line, Repeat, lines_of
-from brink.search.analysis.count_comparison import by_method
-from brink.search.analysis.pair_comparison import PairMeasure, PairRepeat
+from brink.search.analysis.count_comparison import CountMeasure, FoundRepeat, ProblemMeasure, by_method
 from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Figures
 from brink.search.analysis.statistics import MeanInterval, mean_interval
-from brink.search.analysis.threshold_comparison import ThresholdMeasure, ThresholdRepeat
 from brink.search.space import FloatArray
 
 METHOD_COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#68727b")
@@ -122,47 +119,23 @@ def figure_by_budget(repeats: Sequence[Repeat], problem: str, measure: Measure, 
     return figure
 
 
-def figure_pairs(repeats: Sequence[PairRepeat], problem: str) -> Figure:
-    """Plot the pairs of each campaign on a problem: a strip for each method, with means and intervals.
+def figure_found(repeats: Sequence[FoundRepeat], problem: str) -> Figure:
+    """Plot what each campaign on a problem found: a strip for each method, with means and intervals.
 
     Args:
-        repeats: Finished campaigns.
+        repeats: Finished campaigns, of which at least one is on the problem.
         problem: Name of the problem.
     """
-    measure = pair_comparison.measure_of(repeats, problem)
-    confirmed = measure is PairMeasure.CONFIRMED
+    ours = [one for one in repeats if one.problem == problem]
+    compared, things = ProblemMeasure.of(ours), f"{ours[0].NOUN}s"
+    confirmed = compared.measure is CountMeasure.CONFIRMED
     return _strips(
-        f"{problem}: {'confirmed distinct pairs' if confirmed else 'distinct pairs'} of each method",
-        "Rings: all distinct pairs, confirmed or not."
-        if confirmed
-        else pair_comparison.measure_words(repeats, problem),
-        "pairs in one campaign",
+        f"{problem}: {'confirmed ' if confirmed else ''}distinct {things} of each method",
+        f"Rings: all distinct {things}, confirmed or not." if confirmed else compared.says,
+        f"{things} in one campaign",
         {
-            method: [(measure.of(one.counts), one.counts.distinct) for one in ours]
-            for method, ours in by_method(repeats, problem).items()
-        },
-        ringed=confirmed,
-    )
-
-
-def figure_thresholds(repeats: Sequence[ThresholdRepeat], problem: str) -> Figure:
-    """Plot the thresholds of each campaign on a problem: a strip for each method, with means and intervals.
-
-    Args:
-        repeats: Finished campaigns.
-        problem: Name of the problem.
-    """
-    measure = threshold_comparison.measure_of(repeats, problem)
-    confirmed = measure is ThresholdMeasure.CONFIRMED
-    return _strips(
-        f"{problem}: {'confirmed distinct thresholds' if confirmed else 'distinct thresholds'} of each method",
-        "Rings: all distinct thresholds, confirmed or not."
-        if confirmed
-        else threshold_comparison.measure_words(repeats, problem),
-        "thresholds in one campaign",
-        {
-            method: [(measure.of(one.counts), one.counts.distinct) for one in ours]
-            for method, ours in by_method(repeats, problem).items()
+            method: [(one.counted(compared.measure), one.distinct) for one in each]
+            for method, each in by_method(ours).items()
         },
         ringed=confirmed,
     )

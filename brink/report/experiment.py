@@ -15,8 +15,7 @@ from typing import Any
 from markdown_it import MarkdownIt
 
 from brink import __version__
-from brink.report.experiment_pairs import pair_methods, pair_section
-from brink.report.experiment_thresholds import threshold_methods, threshold_section
+from brink.report.experiment_found import Found, FoundWords
 from brink.report.text import interval_text, p_text, table_row
 from brink.search.analysis.comparison import (
     Duel,
@@ -33,7 +32,6 @@ from brink.search.analysis.comparison import (
     standings,
     with_low_controls,
 )
-from brink.search.analysis.pair_comparison import PairRepeat
 from brink.search.analysis.paper import (
     D_THS,
     LEVEL,
@@ -44,8 +42,6 @@ from brink.search.analysis.paper import (
     Measure,
 )
 from brink.search.analysis.scores import DRAWS, ENOUGH_REPEATS
-from brink.search.analysis.threshold_comparison import ThresholdRepeat
-from brink.server.api.experiment_counts import LeftOutView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.experiments.body import ExperimentBody
 from brink.server.problems.catalogue import ODD
@@ -67,36 +63,17 @@ code { font-size: .92em; } em { color: #68727b; font-style: normal; }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReportedPairs:
-    """The pairs across the boundary of an experiment.
+class ReportedFound:
+    """What an experiment found of one kind.
 
     Attributes:
-        repeats: The pairs of its finished campaigns.
-        eps: Largest distance between the sides of a pair.
-        d_th: Smallest distance between two distinct pairs.
-        pictures: File name of the figure of each problem.
-        left_out: Finished campaigns that are left out, as they have too many pairs.
-    """
-
-    repeats: Sequence[PairRepeat]
-    eps: float
-    d_th: float
-    pictures: Mapping[str, str]
-    left_out: Sequence[LeftOutView] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReportedThresholds:
-    """The thresholds of an experiment.
-
-    Attributes:
-        repeats: The thresholds of its finished campaigns.
-        d_th: Smallest distance between two distinct thresholds of one kind.
+        words: How it is reported.
+        found: What it found.
         pictures: File name of the figure of each problem.
     """
 
-    repeats: Sequence[ThresholdRepeat]
-    d_th: float
+    words: FoundWords
+    found: Found
     pictures: Mapping[str, str]
 
 
@@ -108,8 +85,7 @@ def markdown_report(
     experiment: str,
     created_at: datetime,
     elapsed_s: float,
-    thresholds: ReportedThresholds | None = None,
-    pairs: ReportedPairs | None = None,
+    found: Sequence[ReportedFound] = (),
     level: float = LEVEL,
 ) -> str:
     """Return the report as Markdown: thresholds and pairs first where the experiment asks for them, then DBS.
@@ -121,36 +97,18 @@ def markdown_report(
         experiment: Id of the experiment.
         created_at: Time of submission.
         elapsed_s: Duration of the experiment.
-        thresholds: The thresholds, if the experiment asks for them.
-        pairs: The pairs across the boundary, if the experiment asks for them.
+        found: What the experiment asks for besides.
         level: Corrected p-value up to which a difference is significant.
     """
     parts = [f"# {body.name}", _facts(body, repeats, experiment, created_at, elapsed_s)]
     found_standings, found_duels = standings(repeats), duels(repeats, level=level)
     for problem in dict.fromkeys(repeat.problem for repeat in repeats):
         heading = f": {problem}" if len(body.problems) > 1 else ""
-        if thresholds is not None:
-            parts += threshold_section(
-                thresholds.repeats,
-                problem,
-                d_th=thresholds.d_th,
-                heading=heading,
-                picture=thresholds.pictures.get(problem),
-                level=level,
-            )
-        if pairs is not None:
-            parts += pair_section(
-                pairs.repeats,
-                problem,
-                eps=pairs.eps,
-                d_th=pairs.d_th,
-                heading=heading,
-                picture=pairs.pictures.get(problem),
-                left_out=pairs.left_out,
-                level=level,
-            )
+        for one in found:
+            picture = one.pictures.get(problem)
+            parts += one.words.section(one.found, problem, heading=heading, picture=picture)
         parts += [
-            f"## {_dbs_heading(pairs, thresholds)}{heading}",
+            f"## {'Boundary solutions, as the paper counts them' if found else 'Conclusions'}{heading}",
             "\n".join(sentences(repeats, found_standings, found_duels, problem)),
         ]
         for measure in Measure:
@@ -166,7 +124,7 @@ def markdown_report(
                 parts += ["### Comparisons as in the paper", paper_table]
             if found_leads := leads(repeats, problem, measure, DEFAULT_D_TH):
                 parts += ["### Differences by share of the budget", _leads_table(found_leads)]
-    parts += ["## Campaigns", _campaigns(repeats), "## Methods", _method(repeats, thresholds, pairs)]
+    parts += ["## Campaigns", _campaigns(repeats), "## Methods", _method(repeats, found)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -380,18 +338,10 @@ def _campaigns(repeats: Sequence[Repeat]) -> str:
     return "\n".join(rows)
 
 
-def _dbs_heading(pairs: ReportedPairs | None, thresholds: ReportedThresholds | None) -> str:
-    alone = pairs is None and thresholds is None
-    return "Conclusions" if alone else "Boundary solutions, as the paper counts them"
-
-
-def _method(
-    repeats: Sequence[Repeat], thresholds: ReportedThresholds | None, pairs: ReportedPairs | None
-) -> str:
+def _method(repeats: Sequence[Repeat], found: Sequence[ReportedFound]) -> str:
     low = with_low_controls(repeats)
     items = [
-        *(() if thresholds is None else threshold_methods(thresholds.repeats)),
-        *(() if pairs is None else pair_methods(pairs.repeats)),
+        *(item for one in found for item in one.words.method_items(one.found)),
         "**DBS**: solutions whose fitness is at most t_b, selected greedily, best first, each at least d_th from all "
         "those selected before. Extra simulations to complete the last generation are not counted.",
         "**Strict DBS** counts only those whose interval contains p_th and whose neighbours have both verdicts. "

@@ -14,8 +14,7 @@ from brink.search.analysis.paper import D_THS, LEVEL, PAPER_FRACTIONS, PAPER_T_B
 from brink.search.analysis.scores import Control
 from brink.server.api.campaigns import deletion_view
 from brink.server.api.context import Context, Services
-from brink.server.api.experiment_pairs import ExperimentPairs, find_experiment_pairs
-from brink.server.api.experiment_thresholds import ExperimentThresholds, find_experiment_thresholds
+from brink.server.api.experiment_findings import find_experiment_pairs, find_experiment_thresholds
 from brink.server.api.responses import (
     COMPUTING,
     NOT_MODIFIED,
@@ -50,6 +49,7 @@ from brink.server.experiments.body import ExperimentBody
 from brink.server.experiments.pairs import settings_of
 from brink.server.experiments.store import Experiment
 from brink.server.experiments.thresholds import distance_of
+from brink.server.findings.experiments import ExperimentPairs, ExperimentThresholds
 from brink.server.queue.job_store import count_unfinished
 from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus, JobStatus

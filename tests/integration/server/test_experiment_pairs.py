@@ -13,8 +13,8 @@ from support.urban_pairs import ICY_SAFE, ICY_UNSAFE, SAFE, UNSAFE, judged
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.report.experiment_pairs import pair_section
-from brink.server.api.experiment_counts import LeftOutView
+from brink.report.experiment_found import PAIRS as WORDS
+from brink.server.findings.experiments import ExperimentPairs
 from brink.server.problems.urban_injected import SIMULATOR
 
 API = "/api/v1/experiments"
@@ -148,15 +148,8 @@ def test_a_campaign_with_too_many_pairs_is_left_out_and_named(
     monkeypatch.setattr("brink.search.analysis.pairs.MOST_DISTINCT", 5_000)
     assert len(pairs_of(client, name)["left_out"]) == 2, "they are not searched again on every request"
     assert pairs_of(client, name, d_th=0.011)["left_out"] == []
-    section = pair_section(
-        [],
-        "gap",
-        eps=0.02,
-        d_th=0.01,
-        heading="",
-        picture=None,
-        left_out=[LeftOutView.model_validate(one) for one in pairs["left_out"]],
-    )
+    found = ExperimentPairs.model_validate({**pairs, "repeats": []})
+    section = WORDS.section(found, "gap", heading="", picture=None)
     assert f"(**finds**, seed 2): {told}" in section[-1]
 
 

@@ -83,7 +83,7 @@ def test_thresholds_are_counted_followed_up_and_compared(client: httpx.Client, t
     assert (along["confirmed"], along["held"], along["component"]) == (None, None, None), "not tried"
     assert (scattered["found"], scattered["confirmed"]["mean"]) == (0, 0), "no threshold, none to confirm"
     assert {one["confirmed"] for one in before["repeats"] if one["method"] == "along"} == {None}
-    assert "no ends were simulated with other seeds" in before["problems"][0]["says"]
+    assert "none of them was simulated again with other seeds" in before["problems"][0]["says"]
     assert [one["distinct"]["mean"] for one in found(d_th=0.001)["standings"]] == [2, 0], (
         "two kinds of weather, and therefore two places"
     )

@@ -13,17 +13,20 @@ import pytest
 from scipy import stats
 from support.traces import make_trace
 
-from brink.plots.experiment import EXPERIMENT_FIGURES, figure_pairs
+from brink.plots.experiment import EXPERIMENT_FIGURES, figure_found
 from brink.report.component import COLUMNS, DetectionCounts, box_rows, count_detections, write_boxes
-from brink.report.experiment import ReportedPairs, html_report, markdown_report
+from brink.report.experiment import ReportedFound, html_report, markdown_report
+from brink.report.experiment_found import PAIRS
 from brink.search.analysis.boundary import dbs, strict_dbs
 from brink.search.analysis.comparison import Line, Repeat, duels, standings
-from brink.search.analysis.pair_comparison import PairCounts, PairRepeat
+from brink.search.analysis.count_comparison import ProblemMeasure, by_method, count_duels
+from brink.search.analysis.pair_comparison import PairRepeat, PairStanding
 from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Control, Figures, Scores, scored
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.testing import example_spaces
 from brink.server.experiments.body import parse_experiment
+from brink.server.findings.experiments import ExperimentPairs
 from brink.sim.trace import BOX_COLUMNS, Ragged, Trace
 
 SHAPE = (len(PAPER_FRACTIONS), len(PAPER_T_BS), len(D_THS))
@@ -269,26 +272,36 @@ def with_pairs(folder: Path, tried: tuple[bool, ...]) -> str:
             seed=seed,
             campaign=f"c{seed}{method[:2]}",
             computed=False,
-            counts=PairCounts(
-                distinct=distinct,
-                checked=distinct,
-                tried=again,
-                judged=again,
-                confirmed=again - again // 4,
-                refuted=0,
-                checked_judged=again,
-                checked_confirmed=again - again // 4,
-                component=again,
-                scenario=0,
-                drives=10,
-            ),
+            distinct=distinct,
+            checked=distinct,
+            tried=again,
+            judged=again,
+            confirmed=again - again // 4 if again else None,
+            refuted=0,
+            checked_judged=again,
+            checked_confirmed=again - again // 4,
+            component=again,
+            scenario=0,
+            drives=10,
         )
         for seed in range(SEEDS)
         for (method, level), follows in zip(METHODS.items(), tried, strict=True)
         for distinct in [1 + int(rng.poisson(level))]
         for again in [distinct if follows else 0]
     ]
-    figure_pairs(repeats, "gap").savefig(folder / "pairs.png", dpi=30)
+    figure_found(repeats, "gap").savefig(folder / "pairs.png", dpi=30)
+    found = ExperimentPairs(
+        id="3f2a",
+        name="rq1",
+        eps=0.02,
+        d_th=0.2,
+        campaigns=len(repeats),
+        counted=len(repeats),
+        problems=[ProblemMeasure.of(repeats)],
+        standings=[PairStanding.of(ours) for ours in by_method(repeats).values()],
+        duels=count_duels(repeats),
+        repeats=repeats,
+    )
     body = parse_experiment(
         {
             "name": "rq1",
@@ -305,7 +318,7 @@ def with_pairs(folder: Path, tried: tuple[bool, ...]) -> str:
         experiment="3f2a",
         created_at=datetime(2026, 1, 2, tzinfo=UTC),
         elapsed_s=3700,
-        pairs=ReportedPairs(repeats=repeats, eps=0.02, d_th=0.2, pictures={"gap": "pairs.png"}),
+        found=[ReportedFound(words=PAIRS, found=found, pictures={"gap": "pairs.png"})],
     )
 
 
