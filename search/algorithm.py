@@ -151,22 +151,18 @@ class State(Protocol):
     @property
     def generation(self) -> int:
         """Number of generations told so far."""
-        ...
 
     @property
     def archive(self) -> Archive:
         """All complete solutions with a verdict."""
-        ...
 
     @property
     def fitness(self) -> FloatArray:
         """Values that the search currently minimises, shape ``(n,)``; shown as progress."""
-        ...
 
     @property
     def pending(self) -> tuple[Candidate, ...]:
         """The oldest generation that was asked for but not yet told, ascending by number; empty if there is none."""
-        ...
 
 
 C = TypeVar("C")
@@ -225,7 +221,6 @@ class Algorithm(Protocol[C, S]):
             UnsupportedSpace: The algorithm does not support the space.
             ConfigError: A setting does not fit the space, the other settings or the budget.
         """
-        ...
 
     def start(self, space: SearchSpace, config: C, *, seed: int, budget: int) -> S:
         """Return the initial state, with nothing asked for yet.
@@ -236,7 +231,6 @@ class Algorithm(Protocol[C, S]):
             seed: The campaign's seed.
             budget: Number of simulations.
         """
-        ...
 
     def ask(self, state: S) -> tuple[S, tuple[Candidate, ...]]:
         """Return the state with one more generation in flight, and that generation.
@@ -244,7 +238,6 @@ class Algorithm(Protocol[C, S]):
         Raises:
             OrderError: No further generation may be in flight, or none is left to ask for.
         """
-        ...
 
     def tell(self, state: S, evaluations: Mapping[int, Evaluation]) -> S:
         """Return the state after the oldest generation in flight was evaluated.
@@ -257,15 +250,12 @@ class Algorithm(Protocol[C, S]):
             OrderError: Nothing is pending, a generation has to be asked for first, or the numbers are not those of
                 the pending candidates.
         """
-        ...
 
     def finished(self, state: S) -> bool:
         """Return whether the search is over: nothing is in flight, and the budget is spent or nothing new is left."""
-        ...
 
     def dump(self, state: S) -> Document:
         """Return the state, without its archive, as a versioned document."""
-        ...
 
     def load(self, space: SearchSpace, config: C, document: Document, archive: Archive) -> S:
         """Return the state that `dump` stored.
@@ -279,7 +269,6 @@ class Algorithm(Protocol[C, S]):
         Raises:
             DocumentError: The document is corrupt, of another algorithm, or of an unknown version.
         """
-        ...
 
 
 AnyAlgorithm: TypeAlias = Algorithm[Any, Any]
@@ -318,7 +307,6 @@ class Overlapping(Protocol[S_contra]):
 
     def can_ask(self, state: S_contra) -> bool:
         """Return whether a further generation is to be asked for before the pending one is told."""
-        ...
 
 
 @runtime_checkable
@@ -331,7 +319,6 @@ class KnowsFlight(Protocol[C_contra]):
         Args:
             config: Settings, of type `config_type`.
         """
-        ...
 
 
 def ask_each(algorithm: Algorithm[C, S], state: S) -> Iterator[tuple[S, tuple[Candidate, ...]]]:
@@ -450,7 +437,6 @@ class WarmStarts(Protocol[C_contra, S_co]):
         Raises:
             ConfigError: The budget does not suffice for the points.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -491,7 +477,6 @@ class EstimatesRate(Protocol):
             document: The document that `Algorithm.dump` returned.
             archive: The archive of the state at that time.
         """
-        ...
 
 
 class Origin(StrEnum):
@@ -549,7 +534,6 @@ class Seeded(Protocol[S]):
 
     def wanted(self, state: S) -> SeedRequest | None:
         """Return the seeds needed before the next generation can be asked for, or None."""
-        ...
 
     def seeded(self, state: S, proposals: Sequence[Proposal]) -> S:
         """Return the state after receiving the requested proposals, possibly none.
@@ -557,4 +541,3 @@ class Seeded(Protocol[S]):
         Raises:
             OrderError: No seeds were requested.
         """
-        ...

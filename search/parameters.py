@@ -624,23 +624,18 @@ class Constraint(Protocol):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters that the constraint owns."""
-        ...
 
     def fit(self, parameters: Mapping[str, Parameter]) -> None:
         """Raise SpaceError if the constraint does not fit the component's parameters."""
-        ...
 
     def repair(self, values: Values, parameters: Mapping[str, Parameter]) -> None:
         """Repair the owned values in place, ranges included; leave valid values unchanged."""
-        ...
 
     def problem(self, values: Values, parameters: Mapping[str, Parameter]) -> str | None:
         """Return what is wrong with the values, or None."""
-        ...
 
     def describe(self) -> dict[str, Any]:
         """Return the constraint as a JSON object."""
-        ...
 
 
 @runtime_checkable
@@ -652,11 +647,9 @@ class RespectsLimits(Protocol):
 
     def unlimited_names(self) -> tuple[str, ...]:
         """Return the names of the parameters that it owns and that cannot be limited."""
-        ...
 
     def checks_limits(self) -> bool:
         """Return whether its `problem` checks the limits, because they do not apply to every valid value."""
-        ...
 
 
 def _number(parameters: Mapping[str, Parameter], name: str, kind: str) -> Number:

@@ -565,15 +565,12 @@ class OperationalDistribution(Protocol):
 
     def sample(self, space: "SearchSpace", rng: np.random.Generator) -> tuple[FloatArray, ...]:
         """Draw a valid complete solution of a space."""
-        ...
 
     def describe(self) -> dict[str, Any]:
         """Return the distribution as it is declared."""
-        ...
 
     def words(self, space: "SearchSpace") -> str:
         """Return the distribution in words."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,17 +34,14 @@ class SeederSettings(Protocol):
     @property
     def endpoint(self) -> str:
         """Base URL that is called."""
-        ...
 
     @property
     def model(self) -> str:
         """What is asked there, for people."""
-        ...
 
     @property
     def max_calls(self) -> int:
         """Maximum number of HTTP requests for the campaign."""
-        ...
 
 
 class Mode(StrEnum):
@@ -163,7 +160,6 @@ class Access(Protocol):
         Raises:
             InvalidInput: They may not be used.
         """
-        ...
 
 
 class SeedSource(Protocol):
@@ -182,19 +178,15 @@ class SeedSource(Protocol):
             problem: Its problem.
             request: What the algorithm asks for.
         """
-        ...
 
     def doing(self, campaign_id: str) -> str | None:
         """Describe the request that a campaign waits for; None if this coordinator has none in progress."""
-        ...
 
     def calls(self, connection: "Connection", campaign_id: str) -> list[LlmCall]:
         """Return the stored calls of a campaign in order."""
-        ...
 
     def close(self) -> None:
         """Start no more requests, and wait a few seconds for those in progress."""
-        ...
 
 
 class Seeder(Protocol):
@@ -203,7 +195,6 @@ class Seeder(Protocol):
     @property
     def settings_type(self) -> type[Any]:
         """The model of `SeederSettings`."""
-        ...
 
     def check(self, settings: Any, config: object, algorithm_id: str, problem: "Problem") -> None:
         """Check that a campaign has settings if and only if its algorithm uses the source.
@@ -217,7 +208,6 @@ class Seeder(Protocol):
         Raises:
             InvalidInput: There is only one of the two, or the source cannot propose anything for the problem.
         """
-        ...
 
     def access(self, allowed: str) -> Access:
         """Return what the setting ``BRINK_LLM_ENDPOINTS`` allows.
@@ -225,7 +215,6 @@ class Seeder(Protocol):
         Raises:
             InvalidInput: It is malformed.
         """
-        ...
 
     def source(
         self, engines: "Engines", writer: "Writer", on_seeds: Callable[[str], None], access: Any
@@ -238,7 +227,6 @@ class Seeder(Protocol):
             on_seeds: Called from another thread with the id of a campaign whose seeds are available.
             access: What campaigns may call, as `access` returned it.
         """
-        ...
 
 
 def seeder() -> Seeder:

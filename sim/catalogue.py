@@ -84,7 +84,6 @@ class Simulator(Protocol):
             InvalidEpisode: The specification can never run.
             SimulationCrashed: This run failed.
         """
-        ...
 
 
 def register(group: str, plugin_id: str, factory: Callable[..., object]) -> None:

@@ -18,27 +18,22 @@ class Footprint(Protocol):
     @property
     def x_m(self) -> float:
         """Its centre."""
-        ...
 
     @property
     def y_m(self) -> float:
         """Its centre."""
-        ...
 
     @property
     def yaw_rad(self) -> float:
         """Its heading."""
-        ...
 
     @property
     def length_m(self) -> float:
         """Its extent along the heading."""
-        ...
 
     @property
     def width_m(self) -> float:
         """Its extent across the heading."""
-        ...
 
 
 class Rectangle(NamedTuple):

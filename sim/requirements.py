@@ -129,12 +129,10 @@ class Requirement(Protocol):
     @property
     def unit(self) -> str:
         """Unit of the robustness, such as ``m``, ``s`` or ``m/s²``."""
-        ...
 
     @property
     def horizon(self) -> float:
         """Upper bound on the absolute value of the robustness, finite and > 0."""
-        ...
 
     def observe(self, sample: WorldSample) -> float:
         """Process the next sample and return the robustness at it, which is finite.
@@ -142,15 +140,12 @@ class Requirement(Protocol):
         Args:
             sample: Later than all samples before it.
         """
-        ...
 
     def verdict(self) -> Verdict:
         """Return the smallest robustness so far (the horizon before any sample) and the first violation."""
-        ...
 
     def features(self) -> Mapping[str, Json]:
         """Return additional facts that this requirement has measured, by name; empty if there are none."""
-        ...
 
 
 def verdicts_of(requirements: Mapping[str, Requirement]) -> dict[str, Verdict]:

@@ -32,11 +32,9 @@ class Display(Protocol[P]):
 
     async def fetch(self, api: Api, work: str) -> P:
         """Return the progress of the work with this id."""
-        ...
 
     def show(self, progress: P) -> None:
         """Show the progress."""
-        ...
 
 
 class Silent:

@@ -43,19 +43,15 @@ class Workload(Protocol[P]):
 
     async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> P | None:
         """Return the latest run that has one of these statuses."""
-        ...
 
     async def resume(self, api: Api, found: P) -> None:
         """Resume an unfinished run."""
-        ...
 
     async def submit(self, api: Api) -> tuple[str, str]:
         """Submit a new run; return its id and a summary of it in words."""
-        ...
 
     def reasons(self, progress: P) -> Sequence[str]:
         """Return the reasons why the work ended unfinished."""
-        ...
 
 
 async def resume_or_submit(workload: Workload[P], api: Api, found: P | None) -> tuple[str, str]:

@@ -122,7 +122,6 @@ class Check(Protocol):
 
     async def run(self, api: Api) -> bool:
         """Run the check, and print, write and draw the result; return whether no cell is *not met*."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,21 +32,17 @@ class Painter(Protocol):
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the frames in pixels."""
-        ...
 
     @property
     def time_s(self) -> NDArray[np.floating[Any]]:
         """Times of the samples, ascending, shape ``(n,)``."""
-        ...
 
     @property
     def key_samples(self) -> list[int]:
         """Samples that together contain all colours of the film."""
-        ...
 
     def frame(self, sample: int) -> Image.Image:
         """Return the frame at a sample as an RGB image."""
-        ...
 
 
 def film_samples(painter: Painter) -> list[int]:

@@ -223,7 +223,6 @@ class Ground(Protocol):
 
     def at(self, x_m: float, y_m: float, yaw_rad: float, *, on_foot: bool) -> tuple[float, float]:
         """Return the height under a road user, and the slope along its heading, positive uphill."""
-        ...
 
 
 class FlatGround:

@@ -166,11 +166,9 @@ class CallLog(Protocol):
 
     def read(self) -> tuple[list[LlmCall], datetime]:
         """Return all calls in order, and the current time by the clock that dates them."""
-        ...
 
     def store(self, call: LlmCall) -> None:
         """Store a call durably, replacing the same call if its outcome was SENT."""
-        ...
 
 
 class CampaignCalls:

@@ -305,11 +305,9 @@ class MeasuresOnData(Protocol):
 
     def dataset_evaluation(self, vectors: Vectors) -> EpisodeSpec:
         """Return the specification that measures a candidate."""
-        ...
 
     def measurement(self, outcome: Completed) -> Measured:
         """Return the measurement of a candidate from its outcome."""
-        ...
 
 
 class InProcessProblem(BaseProblem):
@@ -348,7 +346,6 @@ class RatesMeasuredErrors(Protocol):
         Args:
             choices: Which error, as choices of parameters by component.parameter.
         """
-        ...
 
     def measured_severity(
         self,
@@ -363,7 +360,6 @@ class RatesMeasuredErrors(Protocol):
             measures: The magnitude of each type of error in the drive, by target; what it does not show is missing.
             at_least: Types whose magnitude is a lower bound, by target. Such a bound of no error is uninformative.
         """
-        ...
 
 
 @runtime_checkable
@@ -372,7 +368,6 @@ class ReportsViolations(Protocol):
 
     def violations(self, outcome: Completed) -> list[dict[str, Any]]:
         """Return the circumstances of the violations of an episode that count."""
-        ...
 
 
 @runtime_checkable

@@ -304,31 +304,25 @@ class PerceptionError(Protocol):
     @property
     def type(self) -> str:
         """What is wrong."""
-        ...
 
     @property
     def magnitude(self) -> float:
         """How wrong, in the unit of the type."""
-        ...
 
     @property
     def onset_s(self) -> float:
         """When it begins."""
-        ...
 
     @property
     def duration_s(self) -> float:
         """How long it lasts."""
-        ...
 
     @property
     def words(self) -> str:
         """The error in words."""
-        ...
 
     def words_with(self, magnitude: str) -> str:
         """Describe the error with the given magnitude and without the times."""
-        ...
 
 
 P = TypeVar("P", bound=PerceptionError)

@@ -182,15 +182,12 @@ class ResultCheck(Protocol):
             kind: What the result's job was for.
             result: The result.
         """
-        ...
 
     async def judge(self, results: Sequence[UnjudgedResult]) -> Sequence[Judgement]:
         """Return whether campaigns can use results, outside a transaction and in bounded time."""
-        ...
 
     def close(self) -> None:
         """End the threads."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

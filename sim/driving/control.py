@@ -13,7 +13,6 @@ class Controller(Protocol):
 
     def control(self, ego: EgoState, plan: Plan) -> Command:
         """Return the command for the next control step."""
-        ...
 
 
 class PursuitController:

@@ -193,45 +193,36 @@ class Route(Protocol):
     @property
     def start_pose(self) -> tuple[float, float, float]:
         """x_m, y_m and yaw_rad at station 0."""
-        ...
 
     @property
     def pieces(self) -> tuple[tuple[float, float], ...]:
         """The straights and arcs of the line, from station 0: length in m, curvature in 1/m, positive to the left."""
-        ...
 
     @property
     def length_m(self) -> float:
         """Length from the first to the last station."""
-        ...
 
     @property
     def lane_width_m(self) -> float:
         """Width of the ego's lane."""
-        ...
 
     @property
     def speed_limit_mps(self) -> float:
         """Speed limit on the route."""
-        ...
 
     @property
     def stop_line_stations_m(self) -> tuple[float, ...]:
         """Stations of the stop lines with a traffic light, ascending."""
-        ...
 
     @property
     def crossings(self) -> tuple[Crossing, ...]:
         """The crossings at which pedestrians have priority, in driving order."""
-        ...
 
     def pose_at(self, station_m: float, offset_m: float = 0.0) -> tuple[float, float, float]:
         """Return (x, y, yaw) at a station and offset; the route continues straight beyond its ends."""
-        ...
 
     def curvature_at(self, station_m: float) -> float:
         """Return the signed curvature in 1/m, positive to the left."""
-        ...
 
     def project(self, x_m: float, y_m: float, near_station_m: float) -> tuple[float, float]:
         """Return (station, offset) of the closest point on the route near a known station.
@@ -241,16 +232,13 @@ class Route(Protocol):
             y_m: Point to project.
             near_station_m: Station at which the search starts.
         """
-        ...
 
     @property
     def oncoming(self) -> tuple[tuple[float, float], ...]:
         """The stretches, from and to a station, with an oncoming lane directly to the left."""
-        ...
 
     def oncoming_lane_at(self, station_m: float) -> bool:
         """Return whether an oncoming lane lies directly to the left of a station."""
-        ...
 
 
 class Driving(Protocol):
@@ -261,14 +249,11 @@ class Driving(Protocol):
 
     def step(self, observation: Observation) -> Command:
         """Run one control step and return its command."""
-        ...
 
     @property
     def plan(self) -> PlanState:
         """The planner's decision in the last step."""
-        ...
 
     @property
     def obstacles(self) -> tuple[PerceivedObstacle, ...]:
         """The obstacles near the ego that the planner treated as real in the last step."""
-        ...

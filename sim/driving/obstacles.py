@@ -67,7 +67,6 @@ class Localiser(Protocol):
 
     def locate(self, ego: EgoState, boxes: tuple[Box, ...]) -> list[Place]:
         """Return the position of each box that can be placed on the ground, in the order of the boxes."""
-        ...
 
 
 class GroundPlaneLocaliser:
@@ -275,7 +274,6 @@ class Tracker(Protocol):
 
     def update(self, time_s: float, places: Sequence[Place]) -> list[Track]:
         """Process the places of one perception step and return the confirmed tracks, oldest first."""
-        ...
 
 
 class AlphaBetaTracker:
@@ -479,7 +477,6 @@ class Predictor(Protocol):
             tracks: Confirmed tracks.
             age_s: How old the tracks are.
         """
-        ...
 
 
 class ConstantVelocityPredictor:

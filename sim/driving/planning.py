@@ -62,7 +62,6 @@ class Planner(Protocol):
             ego: State of the ego.
             obstacles: All obstacles.
         """
-        ...
 
     def plan(self, time_s: float, ego: EgoState, light: LightReading | None) -> Plan:
         """Plan one control step.
@@ -72,7 +71,6 @@ class Planner(Protocol):
             ego: State of the ego.
             light: Next traffic light, or None.
         """
-        ...
 
 
 class RoutePlanner:

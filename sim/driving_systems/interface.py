@@ -150,7 +150,6 @@ class DrivingSystem(Protocol):
 
     def step(self, observation: Observation) -> Decision:
         """Decide what the ego does until the next control step."""
-        ...
 
 
 class MakeDrivingSystem(Protocol):
@@ -158,4 +157,3 @@ class MakeDrivingSystem(Protocol):
 
     def __call__(self, start: Start, /) -> DrivingSystem:
         """Return a new driving system for one drive."""
-        ...

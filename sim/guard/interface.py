@@ -60,7 +60,6 @@ class Guard(Protocol):
     @property
     def horizons_s(self) -> tuple[float, ...]:
         """The horizons of the probabilities in seconds, ascending."""
-        ...
 
     def step(
         self,
@@ -80,7 +79,6 @@ class Guard(Protocol):
             plan: The planner's decision in this step, if known.
             scan: The range sensor's scan, at perception steps of a car that has one; None otherwise.
         """
-        ...
 
 
 class Fallback(Protocol):
@@ -93,7 +91,6 @@ class Fallback(Protocol):
     @property
     def active(self) -> bool:
         """Whether it intervened in the last control step."""
-        ...
 
     def perceive(self, observation: Observation, reading: GuardReading) -> Observation:
         """Return the observation that the driving system receives; called once in each control step, before `step`.
@@ -102,7 +99,6 @@ class Fallback(Protocol):
             observation: What was observed.
             reading: The guard's reading of the step before.
         """
-        ...
 
     def step(self, observation: Observation, command: Command, reading: GuardReading) -> Command:
         """Return the command that the car executes.
@@ -112,4 +108,3 @@ class Fallback(Protocol):
             command: What the driving system commands.
             reading: The guard's reading of this step.
         """
-        ...

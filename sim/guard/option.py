@@ -56,7 +56,6 @@ class MakeGuard(Protocol):
             conditions: What the car knows about the time of day and the weather.
             threshold: Probability from which it raises the alarm; None takes its own.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

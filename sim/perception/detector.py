@@ -86,7 +86,6 @@ class Detector(Protocol):
         Args:
             picture: RGB, shape ``(h, w, 3)``.
         """
-        ...
 
 
 class CheckedDetector:
@@ -361,16 +360,13 @@ class LoadedNetwork(Protocol):
     @property
     def input_px(self) -> tuple[int, int]:
         """Width and height of the network's input."""
-        ...
 
     @property
     def names(self) -> Mapping[int, str]:
         """Class names by index; empty if unknown."""
-        ...
 
     def infer(self, planes: NDArray[np.float32]) -> list[NDArray[Any]]:
         """Return the outputs for an image, shape ``(1, 3, h, w)``."""
-        ...
 
 
 class FileDetector:

@@ -186,11 +186,9 @@ class Witness(Protocol):
 
     def see(self, sample: WorldSample, driving: Driving) -> None:
         """Observe a control step, after all road users have moved."""
-        ...
 
     def violated(self, requirement: str) -> None:
         """Observe a violation in the step last seen; called in every step in which the requirement is violated."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -163,11 +163,9 @@ class UrbanDetector(Protocol):
 
     def start(self, world: World, camera: Camera) -> Detects | None:
         """Return the detector that replaces `behaviour`, for a new world."""
-        ...
 
     def features(self, outcome: Outcome) -> dict[str, Json]:
         """Return the features that describe what the detector did."""
-        ...
 
 
 class _Injected:

@@ -151,7 +151,6 @@ class EgoMotion(Protocol):
 
     def set_grade(self, grade: float) -> None:
         """Set the local slope of the road: rise over run along the heading, positive uphill."""
-        ...
 
     def drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
         """Drive for `steps` steps of 10 ms with a constant command, limited to what the car can do.
@@ -161,7 +160,6 @@ class EgoMotion(Protocol):
             steer_rad: Desired angle of the road wheels.
             steps: Number of steps.
         """
-        ...
 
 
 class MakeEgo(Protocol):
@@ -169,7 +167,6 @@ class MakeEgo(Protocol):
 
     def __call__(self, pose: tuple[float, float, float], speed_mps: float, *, friction: float) -> EgoMotion:
         """Return a new ego."""
-        ...
 
 
 class EgoCar:

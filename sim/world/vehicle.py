@@ -48,12 +48,10 @@ class Mover(Protocol):
     @property
     def length_m(self) -> float:
         """Extent along its heading."""
-        ...
 
     @property
     def width_m(self) -> float:
         """Extent across its heading."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

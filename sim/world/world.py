@@ -49,7 +49,6 @@ class OtherVehicle(RoadUser, Protocol):
     @property
     def is_vehicle(self) -> bool:
         """Whether it is a vehicle."""
-        ...
 
 
 class World(Protocol):
@@ -58,50 +57,40 @@ class World(Protocol):
     @property
     def road(self) -> Road:
         """The road."""
-        ...
 
     @property
     def route(self) -> LaneRoute:
         """The ego's route."""
-        ...
 
     @property
     def weather(self) -> Conditions:
         """The driving conditions."""
-        ...
 
     @property
     def signals(self) -> SignalPlan | None:
         """The traffic lights; None except at a crossroads."""
-        ...
 
     @property
     def ego(self) -> EgoMotion:
         """The car under test."""
-        ...
 
     @property
     def vehicles(self) -> Sequence[OtherVehicle]:
         """All other vehicles."""
-        ...
 
     @property
     def walkers(self) -> Sequence[RoadUser]:
         """All pedestrians."""
-        ...
 
     @property
     def leaves_road_m(self) -> float:
         """Station at which the ego's route leaves the road."""
-        ...
 
     def advance(self, step: int) -> None:
         """Advance all road users except the ego by `CONTROL_STEP_S`; steps count from 0."""
-        ...
 
     def grade_at(self, station_m: float) -> float:
         """Return the slope of the ego's route at a station."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
