@@ -62,15 +62,14 @@ class BoostedTrees:
         forest: The trees of the models without some of the solutions, then those of the model of all of them.
         calibration: Intercept and slope that turn a score into calibrated log odds, shape ``(2,)``.
         covariance: Covariance of intercept and slope, shape ``(2, 2)``.
-        inflation: Variance of the score as a multiple of that of the models without some of the solutions; None for
-            trees of an earlier version, which have no model of all solutions: the score is the mean of the others.
+        inflation: Variance of the score as a multiple of that of the models without some of the solutions.
     """
 
     features: Features
     forest: Forest
     calibration: FloatArray
     covariance: FloatArray
-    inflation: float | None
+    inflation: float
 
     @classmethod
     def fitted(
@@ -142,9 +141,9 @@ class BoostedTrees:
             raise ValueError(
                 f"expected a slope >= 0 and a covariance, got {calibration.tolist()}, {covariance.tolist()}"
             )
-        inflation = float(document["inflation"]) if "inflation" in document else None
+        inflation = float(document["inflation"])
         forest = Forest.of(document["forest"], len(features.names()))
-        if inflation is not None and not (0 < inflation < np.inf and forest.offsets.size > 1):
+        if not (0 < inflation < np.inf and forest.offsets.size > 1):
             raise ValueError(
                 f"expected several models and an inflation > 0, got {forest.offsets.size}, {inflation}"
             )
@@ -158,12 +157,12 @@ class BoostedTrees:
 
     def to_document(self) -> dict[str, Any]:
         """Return the model as a JSON object."""
-        document = {
+        return {
             "calibration": self.calibration.tolist(),
             "covariance": self.covariance.tolist(),
             "forest": self.forest.to_document(),
+            "inflation": self.inflation,
         }
-        return document if self.inflation is None else document | {"inflation": self.inflation}
 
     def estimate(self, rows: FloatArray, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return unsafe probabilities and the lower and upper limits of their intervals, each of shape ``(m,)``.
@@ -175,10 +174,7 @@ class BoostedTrees:
         shown = self.features.in_every_order(rows)
         orders, count, width = shown.shape
         scores = self.forest.scores(shown.reshape(-1, width)).reshape(orders, count, -1).mean(axis=0)
-        if self.inflation is None:
-            score, of_score = scores.mean(axis=1), (scores.shape[1] - 1) * scores.var(axis=1)
-        else:
-            score, of_score = scores[:, -1], self.inflation * scores[:, :-1].var(axis=1)
+        score, of_score = scores[:, -1], self.inflation * scores[:, :-1].var(axis=1)
         terms = np.stack([np.ones_like(score), score])
         of_calibration = np.einsum("im,ij,jm->m", terms, self.covariance, terms)
         error = np.sqrt(self.calibration[1] ** 2 * of_score + np.maximum(of_calibration, 0.0))

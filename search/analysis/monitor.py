@@ -46,10 +46,6 @@ from brink.user_file import read_text
 
 FORMAT: Final = "brink-monitor"
 VERSION: Final = 4
-VERSION_WITHOUT_TREES: Final = 2
-"""Version of files that always hold the model `neighbours`."""
-VERSIONS: Final = range(VERSION_WITHOUT_TREES, VERSION + 1)
-"""Versions that can be read; trees of version 3 have no model of all solutions."""
 LARGEST_BYTES: Final = 256 * 1024**2
 """Maximum size of a file."""
 
@@ -384,10 +380,9 @@ class Monitor:
             raise DocumentError(f"expected a monitor: {error}") from None
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise DocumentError(f"expected a document with format {FORMAT!r}")
-        if document.get("version") not in VERSIONS:
+        if document.get("version") != VERSION:
             raise DocumentError(
-                f"expected version {VERSIONS[0]} to {VERSIONS[-1]}, got {document.get('version')!r}: "
-                "fit the monitor again"
+                f"expected version {VERSION}, got {document.get('version')!r}: fit the monitor again"
             )
         try:
             return cls._read(document)
@@ -405,12 +400,8 @@ class Monitor:
         threshold, z = float(document["threshold"]), float(document["z"])
         given = np.array(document["vectors"], np.float64), np.array(document["unsafe"], np.bool_)
         rows, verdicts = _checked(space, *given, threshold, z)
-        if document["version"] == VERSION_WITHOUT_TREES:
-            features = Features.of(space, [], [range(space.dimension)])
-            stored = {"name": Model.NEIGHBOURS, "weights": document["weights"]}
-        else:
-            features = Features.of(space, document["ties"], document["orders"])
-            stored = document["model"]
+        features = Features.of(space, document["ties"], document["orders"])
+        stored = document["model"]
         estimator: Neighbours | BoostedTrees
         if Model(stored["name"]) is Model.TREES:
             estimator = BoostedTrees.of(features, stored)

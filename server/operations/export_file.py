@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from brink.packed import PIECE_BYTES, check_members, read_exactly, read_header
-from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.follow_ups.follow_up import MOST, FollowUp
 from brink.server.errors import ServerError
 from brink.server.states import FollowUpKind, Selection
@@ -65,8 +64,8 @@ class BadFile(ServerError):
 Threshold = Annotated[float, Field(ge=0, le=1)]
 
 
-class _AnyLink(BaseModel):
-    """What links of all versions say."""
+class Link(BaseModel):
+    """What a follow-up asks, as in the table of follow-ups."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -75,63 +74,20 @@ class _AnyLink(BaseModel):
     numbers: Annotated[
         tuple[Annotated[int, Field(ge=0, lt=2**63)], ...], Field(min_length=1, max_length=MOST, strict=False)
     ]
-
-    @property
-    def folder(self) -> str:
-        """The folder of its members."""
-        return f"{FOLLOW_UPS}{self.campaign_id}/"
-
-
-class Link(_AnyLink):
-    """What a follow-up asks, as in the table of follow-ups."""
-
     kind: Annotated[FollowUpKind, Field(strict=False)]
     selection: Annotated[Selection, Field(strict=False)]
     t_b: Threshold | None
     d_th: Threshold | None
     repeats: Annotated[int, Field(ge=2, le=10_000)] | None
 
-    def asks(self, body: CampaignBody) -> FollowUp:
-        """Return what the follow-up asks that a campaign with a body simulates."""
+    @property
+    def folder(self) -> str:
+        """The folder of its members."""
+        return f"{FOLLOW_UPS}{self.campaign_id}/"
+
+    def asks(self) -> FollowUp:
+        """Return what the follow-up asks."""
         return FollowUp(**self.model_dump(exclude={"campaign_id"}))
-
-
-class OlderLink(_AnyLink):
-    """What a follow-up asks, in a file of version 1.
-
-    0 repeats mean that it minimises pairs, 1 that it asks about the component. The thresholds (1, 0) mean named
-    solutions or sides of pairs, unless the campaign is named after the boundary.
-    """
-
-    t_b: Threshold
-    d_th: Threshold
-    repeats: Annotated[int, Field(ge=0, le=10_000)]
-
-    def asks(self, body: CampaignBody) -> FollowUp:
-        """Return what the follow-up asks that a campaign with a body simulates."""
-        if self.repeats < 2:
-            kind = FollowUpKind.COMPONENT if self.repeats else FollowUpKind.MINIMISE
-            return FollowUp(of_id=self.of_id, kind=kind, selection=Selection.PAIRS, numbers=self.numbers)
-        selection = Selection.PAIRS if body.algorithm.params.get("keep") else Selection.NUMBERS
-        if (self.t_b, self.d_th) != (1, 0) or body.name.endswith(": boundary again"):
-            selection = Selection.BOUNDARY
-        is_boundary = selection is Selection.BOUNDARY
-        return FollowUp(
-            of_id=self.of_id,
-            kind=FollowUpKind.CONFIRM,
-            selection=selection,
-            t_b=self.t_b if is_boundary else None,
-            d_th=self.d_th if is_boundary else None,
-            repeats=self.repeats,
-            numbers=self.numbers,
-        )
-
-
-_LINKS: Final[Mapping[int, tuple[str, type[Link | OlderLink]]]] = {
-    1: ("repeats.jsonl", OlderLink),
-    VERSION: (LINKS, Link),
-}
-"""The versions that are read: the member that says what follow-ups ask, and what it says of each."""
 
 
 class _Manifest(BaseModel):
@@ -139,7 +95,6 @@ class _Manifest(BaseModel):
 
     model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
 
-    version: int
     campaign: CampaignId
     sha256: dict[str, Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]]
 
@@ -212,7 +167,6 @@ class ExportFile:
         path: The file.
         campaign: Id of its campaign.
         members: Names of its members, without the manifest.
-        links_member: The member that says what its follow-ups ask, if it has any.
     """
 
     def __init__(self, path: Path, archive: zipfile.ZipFile, size: int) -> None:
@@ -225,7 +179,6 @@ class ExportFile:
         manifest = self._read_manifest()
         self.campaign: str = manifest.campaign
         self.members: frozenset[str] = frozenset(manifest.sha256)
-        self.links_member, self._link = _LINKS[manifest.version]
         for name, expected in manifest.sha256.items():
             digest = hashlib.sha256()
             with archive.open(name) as member:
@@ -252,25 +205,24 @@ class ExportFile:
                 except ValueError as error:
                     raise BadFile(f"{member}, line {place}: {error}") from None
 
-    def links(self) -> list[Link | OlderLink]:
+    def links(self) -> list[Link]:
         """Return the follow-ups in the file.
 
         Raises:
             BadFile: They do not fit the members of the file.
         """
-        found: list[Link | OlderLink] = []
-        links = self.links_member
-        for place, document in self.documents(links) if links in self.members else ():
+        found: list[Link] = []
+        for place, document in self.documents(LINKS) if LINKS in self.members else ():
             try:
-                found.append(self._link.model_validate(document))
+                found.append(Link.model_validate(document))
             except ValidationError as error:
                 fault = error.errors(include_url=False)[0]
                 where = ".".join(str(part) for part in fault["loc"])
-                raise BadFile(f"{links}, line {place}: {where}: {fault['msg']}") from None
+                raise BadFile(f"{LINKS}, line {place}: {where}: {fault['msg']}") from None
         known = {self.campaign}
         for place, link in enumerate(found, start=1):
             if link.of_id not in known or link.campaign_id in known:
-                raise BadFile(f"{links}, line {place}: expected a new follow-up of a campaign before it")
+                raise BadFile(f"{LINKS}, line {place}: expected a new follow-up of a campaign before it")
             known.add(link.campaign_id)
         folders = {
             name.removeprefix(FOLLOW_UPS).split("/")[0]
@@ -278,7 +230,7 @@ class ExportFile:
             if name.startswith(FOLLOW_UPS)
         }
         if folders != known - {self.campaign}:
-            raise BadFile(f"{links}: expected a line for each folder in {FOLLOW_UPS}")
+            raise BadFile(f"{LINKS}: expected a line for each folder in {FOLLOW_UPS}")
         return found
 
     def array(self, member: str, dtype: str, most_bytes: int = LARGEST_VALUE) -> NDArray[Any]:
@@ -343,9 +295,8 @@ class ExportFile:
             raise BadFile("expected a file written by brink export: it has no manifest") from None
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise BadFile("expected a file written by brink export: its manifest is from another program")
-        if document.get("version") not in list(_LINKS):
-            expected = " or ".join(map(str, _LINKS))
-            raise BadFile(f"expected format version {expected}, got {document.get('version')!r:.20}")
+        if document.get("version") != VERSION:
+            raise BadFile(f"expected format version {VERSION}, got {document.get('version')!r:.20}")
         try:
             manifest = _Manifest.model_validate(document)
         except ValidationError as error:

@@ -106,12 +106,12 @@ _TABLES: Final[Mapping[str, type[Base]]] = {
     "llm_calls": LlmCallRow,
 }
 _OPTIONAL: Final = ("campaign_tags", "known_solutions")
-"""Tables that a file has only if the campaign has rows there; files of older versions lack them."""
+"""Tables that a file has only if the campaign has rows there."""
 _OPTIONAL_COLUMNS: Final[Mapping[str, Mapping[str, Any]]] = {
     "campaigns": {"notes": ""},
     "jobs": {"losses": 0, "max_losses": DEFAULT_MAX_LOSSES},
 }
-"""Columns that a file has only if their values are others than these; files of older versions lack them."""
+"""Columns that a file has only if their values are others than these."""
 _VECTORS: Final[Mapping[str, str]] = {"solutions": "vectors", "known_solutions": "known-vectors"}
 """Arrays with the vectors of a table's rows."""
 _LEFT_OUT: Final[Mapping[str, tuple[str, ...]]] = {
@@ -326,8 +326,8 @@ def _import(
     for place, link in enumerate(links, start=1):
         one = _Import(connection, file, access, link.campaign_id, link.folder)
         counts.update(one.run())
-        asks = link.asks(one.plan.body)
-        _check_follow_up(connection, one.plan, link.folder, asks, f"{file.links_member}, line {place}")
+        asks = link.asks()
+        _check_follow_up(connection, one.plan, link.folder, asks, f"{LINKS}, line {place}")
         insert_follow_up(connection, link.campaign_id, asks)
     if links:
         counts["follow_ups"] = len(links)

@@ -229,39 +229,6 @@ def test_follow_ups_go_along_and_go_on_elsewhere(
             run("import", str(file), "--database", elsewhere)
 
 
-def test_follow_ups_of_files_of_version_1_are_read(
-    databases: Databases, database_url: str, tmp_path: Path
-) -> None:
-    file = tmp_path / "followed.brink"
-    with coordinator(database_url) as client:
-        campaign, asked = with_follow_ups(client)
-        every = {"repeats": 2, "t_b": 1.0, "d_th": 0.0}
-        boundary = expect(client.post(f"{API}/{campaign}/repeats", json=every), 201)["campaign"]
-        before = known_of_pairs(client, campaign, asked)
-    assert run("export", campaign, "--out", str(file), "--database", database_url).exit_code == 0
-
-    def former(data: bytes) -> bytes:
-        rows = [json.loads(line) for line in data.splitlines()]
-        for row in rows:
-            number = {"confirm": row["repeats"], "component": 1, "minimise": 0}[row.pop("kind")]
-            thresholds = {"boundary": (row["t_b"], row["d_th"])}.get(row.pop("selection"), (1.0, 0.0))
-            row.update(zip(("t_b", "d_th", "repeats"), (*thresholds, number), strict=True))
-        return b"".join(json.dumps(row).encode() + b"\n" for row in rows)
-
-    links = members(file)["follow_ups.jsonl"]
-    older = {"follow_ups.jsonl": lambda _: None, "repeats.jsonl": lambda _: former(links)}
-    older["manifest.json"] = lambda data: data.replace(b'"version": 2', b'"version": 1')
-    again = tmp_path / "again.brink"
-    with databases.database("other") as elsewhere:
-        assert run("import", str(rewritten(file, older)), "--database", elsewhere).exit_code == 0
-        assert run("export", campaign, "--out", str(again), "--database", elsewhere).exit_code == 0
-        assert members(again)["follow_ups.jsonl"] == links
-        with coordinator(elsewhere) as client:
-            assert known_of_pairs(client, campaign, asked) == before
-            views = {one["campaign"]: one for one in expect(client.get(f"{API}/{campaign}/repeats"))}
-            assert views[boundary]["selection"] == "boundary"
-
-
 @pytest.mark.long("imports forged files")
 def test_forged_follow_ups_change_nothing(
     databases: Databases, elsewhere: str, database_url: str, tmp_path: Path
@@ -376,7 +343,7 @@ WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
     "no manifest": ({"manifest.json": lambda _: b"{}"}, "its manifest is from another program"),
     "a later version": (
         {"manifest.json": lambda data: data.replace(b'"version": 2', b'"version": 3')},
-        "expected format version 1 or 2, got 3",
+        "expected format version 2, got 3",
     ),
     "a table is missing": ({"jobs.jsonl": lambda _: None}, "undamaged"),
     "no JSON": ({"solutions.jsonl": lambda data: data[:-30]}, "line 70"),
@@ -601,7 +568,7 @@ def packed(
 ) -> Path:
     """Write a file with some members and a manifest that fits."""
     sums = {name: hashlib.sha256(data).hexdigest() for name, data in members.items()}
-    document = {"format": "brink-campaign", "version": 1, "campaign": "0badf11e", "sha256": sums, **manifest}
+    document = {"format": "brink-campaign", "version": 2, "campaign": "0badf11e", "sha256": sums, **manifest}
     with zipfile.ZipFile(file, "w", method) as archive:
         for name, data in members.items():
             archive.writestr(name, data)

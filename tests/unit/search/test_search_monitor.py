@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from brink.search.analysis import neighbours
-from brink.search.analysis.monitor import Answer, Model, Monitor
+from brink.search.analysis.monitor import Answer, Monitor
 from brink.search.analysis.monitor_evaluation import evaluate_monitor, evaluate_pairs
 from brink.search.analysis.neighbours import Neighbours
 from brink.search.analysis.statistics import a12
@@ -130,29 +130,13 @@ def test_monitor_survives_storage(tmp_path: Path) -> None:
     [
         ("{", "expected a monitor"),
         ("[]", "format 'brink-monitor'"),
-        (
-            '{"format": "brink-monitor", "version": 1}',
-            "expected version 2 to 4, got 1: fit the monitor again",
-        ),
-        ('{"format": "brink-monitor", "version": 2}', "expected a monitor: KeyError"),
+        ('{"format": "brink-monitor", "version": 1}', "expected version 4, got 1: fit the monitor again"),
+        ('{"format": "brink-monitor", "version": 4}', "expected a monitor: KeyError"),
     ],
 )
 def test_invalid_monitors_are_rejected(text: str, said: str) -> None:
     with pytest.raises(DocumentError, match=said):
         Monitor.from_json(text)
-
-
-def test_files_of_earlier_versions_keep_their_probabilities() -> None:
-    rows, unsafe = plane(60)
-    monitor = Monitor.of(PLANE, (8, 2), rows, unsafe, threshold=0.3)
-    document = json.loads(monitor.to_json())
-    for added in ("model", "ties", "orders"):
-        del document[added]
-    earlier = Monitor.from_json(json.dumps(document | {"version": 2, "weights": [8.0, 2.0]}))
-    asked, _ = plane(50, seed=3)
-    assert (earlier.score(asked).probability == monitor.score(asked).probability).all()
-    assert earlier.score(asked).unlike == monitor.score(asked).unlike
-    assert (earlier.model, earlier.threshold) == (Model.NEIGHBOURS, 0.3)
 
 
 def test_pairs_count_as_right_if_both_sides_are() -> None:

@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.special import logit
 
 from brink.search.analysis import boosted_trees
-from brink.search.analysis.boosted_trees import BoostedTrees
 from brink.search.analysis.coverage import Coverage
 from brink.search.analysis.monitor import Answer, Model, Monitor, default_model
 from brink.search.analysis.monitor_evaluation import classification_metrics, evaluate_monitor
@@ -140,21 +138,6 @@ def test_what_near_duplicates_tell_about_each_other_is_not_taken_for_accuracy() 
     risks = fitted.score(drawn(500, 4)[0])
     assert np.abs(risks.probability - verdicts.mean()).max() < 0.2
     assert ((risks.low <= 0.4) & (risks.high >= 0.4)).mean() > 0.9
-
-
-def test_trees_of_an_earlier_version_score_as_they_did(monitor: Monitor) -> None:
-    document = json.loads(monitor.to_json())
-    document["version"] = 3
-    del document["model"]["inflation"]
-    again = Monitor.from_json(json.dumps(document))
-    assert isinstance(again.estimator, BoostedTrees)
-    assert isinstance(monitor.estimator, BoostedTrees)
-    rows, _ = drawn(20, 7)
-    shown = monitor.features.in_every_order(rows)
-    scores = np.mean([monitor.estimator.forest.scores(one) for one in shown], axis=0)
-    intercept, slope = monitor.estimator.calibration
-    assert logit(again.score(rows).probability) == pytest.approx(intercept + slope * scores.mean(axis=1))
-    assert json.loads(again.to_json())["model"] == document["model"]
 
 
 def spoilt(change: Callable[[Any], object]) -> Callable[[Any], None]:
