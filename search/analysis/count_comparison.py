@@ -65,20 +65,7 @@ class Proportion:
 class FoundRepeat(ABC):
     """What a finished campaign of an experiment found of one kind, and the results of finished follow-ups on it.
 
-    Attributes:
-        problem: Name of its problem.
-        method: Name of its algorithm.
-        seed: Its seed.
-        campaign: Its id.
-        computed: Whether its verdicts are computed, not simulated, so that there is nothing to confirm.
-        distinct: Distinct ones.
-        tried: Those whose sides were simulated with other seeds after the search.
-        judged: Tried ones with enough drives of both sides to be confirmed, or too many of the other verdict.
-        confirmed: Confirmed ones; None if some can be, but none was tried.
-        refuted: Refuted ones.
-        component: Unsafe sides that are safe with ground truth in place of the component.
-        scenario: Unsafe sides that are unsafe with ground truth, too.
-        drives: Fewest drives with other seeds of any side that was tried; 0 if none was.
+    Kinds document the attributes, because the API shows their docstrings.
     """
 
     NOUN: ClassVar[str]
@@ -192,15 +179,7 @@ R = TypeVar("R", bound=FoundRepeat)
 class FoundStanding:
     """What a method found of one kind on a problem, over its campaigns.
 
-    Attributes:
-        problem: Name of the problem.
-        method: Name of the method.
-        distinct: Distinct ones of a campaign.
-        confirmed: Confirmed distinct ones of a campaign; None unless they are known for all campaigns.
-        known: Campaigns whose confirmed ones are known, also because they have none.
-        tried: Those of all campaigns that were simulated with other seeds.
-        overall: Share of the judged ones that were confirmed; None if none was judged.
-        component: Share of the unsafe sides that the component is to blame for; None if ground truth was not tried.
+    Kinds document the attributes, because the API shows their docstrings.
     """
 
     problem: str

@@ -31,9 +31,22 @@ class PairRepeat(FoundRepeat):
     """The distinct pairs of a finished campaign, and the results of finished follow-ups on them.
 
     Attributes:
+        problem: Name of the problem.
+        method: Name of the algorithm.
+        seed: Seed of the campaign.
+        campaign: Its id.
+        computed: Whether verdicts are computed, not simulated, so that there is nothing to confirm.
+        distinct: Distinct pairs.
         checked: Those of which the search simulated each side again, and both kept their verdicts.
+        tried: Those whose sides were simulated with other seeds after the search.
+        judged: Tried ones with enough drives of both sides to be confirmed, or too many of the other verdict.
+        confirmed: Confirmed ones; None if some can be, but none was tried.
         checked_judged: Checked ones among the judged.
         checked_confirmed: Checked ones among the confirmed.
+        refuted: Refuted ones.
+        component: Unsafe sides that are safe with ground truth in place of the component.
+        scenario: Unsafe sides that are unsafe with ground truth, too.
+        drives: Fewest drives with other seeds of any side that was tried; 0 if none was.
     """
 
     NOUN: ClassVar = "pair"
@@ -92,9 +105,17 @@ class PairStanding(FoundStanding):
     """The pairs of a method on a problem, over its campaigns.
 
     Attributes:
+        problem: Name of the problem.
+        method: Name of the method.
+        distinct: Distinct pairs of a campaign.
+        confirmed: Confirmed distinct pairs of a campaign; None unless they are known for all campaigns.
+        known: Campaigns whose confirmed pairs are known, also because they have none.
         pairs: Distinct pairs of all campaigns.
         checked: Checked ones among them.
         precision: Share of the checked pairs that were confirmed, over all campaigns; None if none was tried.
+        tried: Those of all campaigns that were simulated with other seeds.
+        overall: Share of the judged pairs that were confirmed; None if none was judged.
+        component: Share of the unsafe sides that the component is to blame for; None if ground truth was not tried.
     """
 
     pairs: int

@@ -79,12 +79,25 @@ class ThresholdRepeat(FoundRepeat):
     """The thresholds of a finished campaign, and the results of finished follow-ups on them.
 
     Attributes:
+        problem: Name of the problem.
+        method: Name of the algorithm.
+        seed: Seed of the campaign.
+        campaign: Its id.
+        computed: Whether verdicts are computed, not simulated, so that there is nothing to confirm.
         found: Thresholds.
+        distinct: Distinct ones.
         kinds: Kinds of them.
         paired: Thresholds with a tight pair of ends, which can be confirmed.
-        held: Judged ones whose drives were at most 20% unsafe at the safe end and at least 80% at the other.
-        confirmed_distinct: Distinct ones among the confirmed; None if some can be, but none was tried.
+        tried: Those whose ends were simulated with other seeds after the search.
+        judged: Tried ones with enough drives of both ends to be confirmed, or too many of the other verdict.
+        confirmed: Confirmed ones; None if some can be, but none was tried.
+        confirmed_distinct: Distinct ones among the confirmed; None likewise.
         confirmed_kinds: Kinds of the confirmed ones; None likewise.
+        held: Judged ones whose drives were at most 20% unsafe at the safe end and at least 80% at the other.
+        refuted: Refuted ones.
+        component: Unsafe ends that are safe with ground truth in place of the component.
+        scenario: Unsafe ends that are unsafe with ground truth, too.
+        drives: Fewest drives with other seeds of any end that was tried; 0 if none was.
     """
 
     NOUN: ClassVar = "threshold"
@@ -166,10 +179,18 @@ class ThresholdStanding(FoundStanding):
     """The thresholds of a method on a problem, over its campaigns.
 
     Attributes:
+        problem: Name of the problem.
+        method: Name of the method.
+        distinct: Distinct thresholds of a campaign.
         kinds: Kinds of the thresholds of a campaign.
-        confirmed_kinds: Kinds of the confirmed thresholds of a campaign; None unless known for all campaigns.
+        confirmed: Confirmed distinct thresholds of a campaign; None unless they are known for all campaigns.
+        confirmed_kinds: Kinds of the confirmed thresholds of a campaign; None likewise.
+        known: Campaigns whose confirmed thresholds are known, also because they have none.
         found: Thresholds of all campaigns.
         paired: Those with a tight pair of ends, which can be confirmed.
+        tried: Those of all campaigns that were simulated with other seeds.
+        overall: Share of the judged thresholds that were confirmed; None if none was judged.
+        component: Share of the unsafe ends that the component is to blame for; None if ground truth was not tried.
         held: Share of the judged thresholds with at most 20% unsafe drives at the safe end and at least 80% at the
             other, as observed; None if none was judged.
     """
