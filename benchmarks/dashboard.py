@@ -119,7 +119,7 @@ def _drag(browser: Browser, url: str, campaign: str) -> tuple[float, float, int]
     """Return frames per second while the map is dragged, the median painting time in ms, and the number of points."""
     context = browser.new_context(viewport={"width": 1280, "height": 900})
     page = context.new_page()
-    page.goto(f"{url}/#/campaigns/{campaign}")
+    page.goto(f"{url}/#/campaigns/{campaign}?tab=map")
     canvas = page.locator("canvas.map")
     page.wait_for_selector(_MAPPED, timeout=120_000)
     canvas.scroll_into_view_if_needed()
@@ -147,7 +147,7 @@ def _left_open(browser: Browser, url: str, campaign: str, polls: int, progress: 
     context = browser.new_context(viewport={"width": 1280, "height": 900})
     page = context.new_page()
     page.clock.install()
-    page.goto(f"{url}/#/campaigns/{campaign}")
+    page.goto(f"{url}/#/campaigns/{campaign}?tab=map")
     page.wait_for_selector(_MAPPED, timeout=120_000)
     devtools = context.new_cdp_session(page)
     devtools.send("Performance.enable")

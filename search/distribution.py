@@ -266,6 +266,13 @@ _CONTINUOUS: Final[Mapping[str, Callable[[Number, object], _Continuous]]] = {
     "exponential": _exponential,
     "histogram": _histogram,
 }
+NUMBERS: Final[Mapping[str, tuple[str, ...]]] = {
+    "normal": ("mean", "deviation"),
+    "lognormal": ("median", "sigma"),
+    "beta": ("a", "b"),
+    "exponential": ("mean",),
+}
+"""The kinds of distributions that a few numbers describe, with the names of these."""
 KINDS: Final = ("uniform", *_CONTINUOUS, "weights")
 
 

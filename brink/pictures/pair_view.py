@@ -81,11 +81,12 @@ _UNIT: Final = re.compile(r"(\d) (s|m|m/s)\b")
 _EDGE_M: Final = 9.0
 """How much of the edge of a lane is drawn on either side of a car that crosses it."""
 FILM_SIZE: Final[Size] = (1280, 720)
-MAP_SIZE: Final[Size] = (720, 340)
-"""Size of the picture of one drive on its own."""
-_MAP_UNIT_PX: Final = 480
+MAP_SIZE: Final[Size] = (480, 228)
+"""Size of the picture of one drive on its own, which a page shows at about half of it."""
+_MAP_UNIT_PX: Final = 300
 """Width of a map on which type has its usual size."""
 MAP_WIDTH_M: Final = 52.0
+_SMALL_MAP_WIDTH_M: Final = 36.0
 _REACH_M: Final = 20.0
 """How far from its car the middle of a map may be; the canvas of a map reaches as far beyond the drive."""
 AHEAD_S: Final = 4.0
@@ -258,7 +259,7 @@ def pair_maps(pair: DrivePair, size: Size = MAP_SIZE) -> tuple[Image.Image, Imag
     """
     story = pair_story(pair)
     turn_rad = _turn_rad(story)
-    maps = _maps(story, size, size[0] / _MAP_UNIT_PX, turn_rad)
+    maps = _maps(story, size, size[0] / _MAP_UNIT_PX, turn_rad, _SMALL_MAP_WIDTH_M)
     first, second = (_still_map(story, maps, index, _middle(story, index, turn_rad)) for index in (0, 1))
     return first, second
 
@@ -328,12 +329,14 @@ def _turn_rad(story: PairStory) -> float:
     return -road_heading(trace.route, trace.ego, story.unsafe.decisive)
 
 
-def _maps(story: PairStory, size: Size, unit: float, turn_rad: float) -> list[MapView]:
+def _maps(
+    story: PairStory, size: Size, unit: float, turn_rad: float, width_m: float = MAP_WIDTH_M
+) -> list[MapView]:
     return [
         MapView(
             EpisodeScene.of(side.trace),
             size_px=size,
-            px_per_m=size[0] / MAP_WIDTH_M,
+            px_per_m=size[0] / width_m,
             look_ahead_m=_REACH_M,
             font_px=round(12.5 * unit),
             turn_rad=turn_rad,

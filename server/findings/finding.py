@@ -126,7 +126,13 @@ class Findings(View):
 
     campaign: str
     complete: Annotated[bool, Field(description="Whether the campaign has ended.")]
-    words: Annotated[str, Field(description="The first finding in a sentence.")]
+    words: Annotated[
+        str, Field(description="The first finding in a sentence, with what it does not rest on.")
+    ]
+    headline: Annotated[str, Field(description="The first finding alone, in a short sentence.")]
+    warnings: Annotated[
+        list[str], Field(description="What it does not rest on, such as failed simulations, in sentences.")
+    ]
     more: Annotated[list[str], Field(description="Further facts, in sentences.")]
     of: Annotated[FollowedView | None, Field(description="The campaign that this one follows up.")]
     exclusive: Annotated[

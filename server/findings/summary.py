@@ -52,16 +52,16 @@ async def find_all(sources: Sources, campaign: Campaign, *, rows: int = ROWS) ->
             if not (one.is_empty and kind.is_silent and one.role is Role.MET)
         ]
     words, more = await _sentences(known, found)
-    if campaign.failed and not _all_failed(campaign):  # otherwise the words say it already
-        words = f"{words}; {_failures(campaign)}"
-    if known.not_the_same:
-        words = f"{words}; {known.not_the_same}"
     if known.outcomes.odd:
         words = f"within the ODD: {words}"
+    failures = "" if not campaign.failed or _all_failed(campaign) else _failures(campaign)
+    warnings = [one for one in (failures, known.not_the_same) if one]
     return Findings(
         campaign=campaign.id,
         complete=campaign.status in ENDED,
-        words=full_sentence(words),
+        words=full_sentence("; ".join([words, *warnings])),
+        headline=full_sentence(words),
+        warnings=[full_sentence(one) for one in warnings],
         more=[full_sentence(one) for one in more if one],
         of=known.of,
         exclusive=known.is_exclusive,

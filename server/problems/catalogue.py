@@ -18,7 +18,7 @@ from pydantic import Field as PydanticField
 
 from brink.extras import install_command
 from brink.search.algorithm import AnyAlgorithm, declared_finds
-from brink.search.distribution import distributed
+from brink.search.distribution import NUMBERS, distributed
 from brink.search.errors import ConfigError, DistributionError, OddError, SpaceError, UnsupportedSpace
 from brink.search.odd import limited, odd_of
 from brink.search.space import SearchSpace
@@ -416,6 +416,7 @@ def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:
         "type": "object",
         "title": "Odd",
         "label": "ODD",
+        "by_parameter": "limits",
         "default": {},
         "description": _ABOUT_ODD,
     }
@@ -429,6 +430,9 @@ def _problem_schema(kind: type[Any], problem: Problem) -> dict[str, Any]:
     schema["properties"][DISTRIBUTION] = {
         "type": "object",
         "title": "Distribution",
+        "label": "Operational distribution",
+        "by_parameter": "distribution",
+        "numbers": NUMBERS,
         "default": {},
         "description": _ABOUT_DISTRIBUTION,
     }

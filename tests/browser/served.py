@@ -135,9 +135,9 @@ def a_pair(client: httpx.Client, campaign: str, query: str = ANY_PAIR) -> tuple[
     return found, f"#/campaigns/{campaign}/pairs/{numbers}{query}"
 
 
-def loose(campaign: str) -> str:
-    """Return the address of a campaign at thresholds at which it has boundary solutions."""
-    return f"#/campaigns/{campaign}{LOOSELY}"
+def loose(campaign: str, tab: str = "overview") -> str:
+    """Return the address of a tab of a campaign at thresholds at which it has boundary solutions."""
+    return f"#/campaigns/{campaign}{LOOSELY}&tab={tab}"
 
 
 def _experiment(client: httpx.Client) -> str:

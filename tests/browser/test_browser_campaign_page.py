@@ -23,6 +23,13 @@ def page(site: Served, browse: Browse) -> Page:
     """The page of the urban campaign, with its map drawn and its table filled."""
     page = browse(loose(site.urban))
     shown(page.get_by_text(re.compile(r"\d+ solutions\. Similar"))).to_be_visible()
+    return page
+
+
+@pytest.fixture
+def results(site: Served, browse: Browse) -> Page:
+    """The results of the urban campaign, with its table filled."""
+    page = browse(loose(site.urban, "results"))
     shown(page.locator("section[aria-label='The boundary'] tbody tr").first).to_be_visible()
     return page
 
@@ -56,9 +63,9 @@ def test_the_map_is_coloured_by_a_parameter_and_remembers_it(page: Page, chart: 
     shown(page.get_by_role("list", name="Colours")).to_contain_text("rain")
 
 
-def test_the_table_of_boundary_solutions_is_filtered_and_sorted(site: Served, page: Page) -> None:
+def test_the_table_of_boundary_solutions_is_filtered_and_sorted(site: Served, results: Page) -> None:
     solutions = boundary(site)["solutions"]
-    region = page.get_by_role("region", name="The boundary", exact=True)
+    region = results.get_by_role("region", name="The boundary", exact=True)
     rows = region.get_by_role("region", name="Distinct boundary solutions").locator("tbody tr")
     shown(region).to_contain_text(f"{len(solutions)} distinct boundary solutions")
 
@@ -83,9 +90,9 @@ def test_the_table_of_boundary_solutions_is_filtered_and_sorted(site: Served, pa
     shown(rows).to_have_count(len(solutions))
 
 
-def test_the_boundary_is_saved_as_csv_as_the_api_tells_it(site: Served, page: Page) -> None:
-    with page.expect_download() as coming:
-        page.get_by_role("region", name="The boundary", exact=True).get_by_role(
+def test_the_boundary_is_saved_as_csv_as_the_api_tells_it(site: Served, results: Page) -> None:
+    with results.expect_download() as coming:
+        results.get_by_role("region", name="The boundary", exact=True).get_by_role(
             "button", name="CSV"
         ).first.click()
     assert coming.value.suggested_filename == f"boundary-{site.urban}.csv"
@@ -99,20 +106,24 @@ def test_the_boundary_is_saved_as_csv_as_the_api_tells_it(site: Served, page: Pa
 
 
 def test_new_thresholds_change_curve_and_table_and_are_kept_in_the_url(site: Served, browse: Browse) -> None:
-    page = browse(f"#/campaigns/{site.urban}")
+    page = browse(f"#/campaigns/{site.urban}?tab=search")
     curve = page.get_by_role("region", name="Boundary solutions against the number of simulations")
     shown(curve.get_by_text("a fitness of at most t_b")).to_be_visible()
     curve.get_by_label("t_b").fill("1")
     curve.get_by_label("t_b").press("Enter")
     curve.get_by_label("d_th").fill("0")
     curve.get_by_label("d_th").press("Enter")
+    page.get_by_role("tab", name="Results").click()
     table = page.get_by_role("region", name="The boundary", exact=True)
     shown(table).to_contain_text(f"{boundary(site)['dbs']} distinct boundary solutions")
     table.get_by_text("How to read it").click()
     shown(table.get_by_text("neighbourhoods without a single unsafe solution")).to_be_visible()
-    assert page.url.endswith("?t_b=1&d_th=0")
+    assert page.url.endswith("?tab=results&t_b=1&d_th=0")
+    page.get_by_role("tab", name="Results").press("ArrowRight")
+    page.get_by_role("tab", name="Parameters").press("ArrowRight")
     curve.get_by_role("button", name="Defaults").click()
     shown(table).to_have_count(0)
+    page.get_by_role("tab", name="Search").press("Home")
     shown(page.get_by_role("region", name="Finding")).to_contain_text("0 distinct boundary solutions")
 
 
@@ -129,15 +140,17 @@ SLOW = """part => {
 def test_a_threshold_that_changes_while_the_last_one_is_loading_does_not_wait(
     site: Served, browse: Browse
 ) -> None:
-    page = browse(f"#/campaigns/{site.urban}")
+    page = browse(f"#/campaigns/{site.urban}?tab=search")
     curve = page.get_by_role("region", name="Boundary solutions against the number of simulations")
     shown(curve.get_by_text("a fitness of at most t_b")).to_be_visible()
     page.evaluate(SLOW, "/findings/boundary?t_b=1&d_th=0.2")
     for name, value in (("t_b", "1"), ("d_th", "0")):
         curve.get_by_label(name).fill(value)
         curve.get_by_label(name).press("Enter")
+    page.get_by_role("tab", name="Results").click()
     card = page.get_by_role("region", name="The boundary", exact=True)
     shown(card).to_contain_text("fitness at most 1, at least 0 apart", timeout=12_000)
+    page.get_by_role("tab", name="Search").click()
     curve.get_by_role("button", name="Defaults").click()
     shown(card).to_have_count(0)
 
@@ -170,7 +183,7 @@ def test_a_campaign_is_paused_resumed_and_cancelled(site: Served, browse: Browse
 def test_a_campaign_is_deleted_only_when_that_is_confirmed(site: Served, browse: Browse) -> None:
     campaign = submit(site.client, ball(name="unwanted", problem=NOBODYS))
     expect(site.client.post(f"{API}/campaigns/{campaign}/cancel"))
-    page = browse(f"#/campaigns/{campaign}")
+    page = browse(f"#/campaigns/{campaign}?tab=settings")
     page.get_by_role("button", name="Delete").click()
     page.get_by_role("dialog").get_by_role("button", name="Delete").click()
     shown(page.get_by_role("heading", name="Campaigns")).to_be_visible()

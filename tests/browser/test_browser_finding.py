@@ -4,9 +4,9 @@ import re
 
 import pytest
 from playwright.sync_api import expect as shown
-from support.api import ball, submit
+from support.api import ball, expect, submit
 
-from browser.served import NOBODYS, Served
+from browser.served import API, NOBODYS, Served
 from browser.visits import Browse
 
 pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
@@ -52,5 +52,11 @@ def test_campaigns_that_are_ticked_stand_side_by_side(site: Served, browse: Brow
     chosen = page.get_by_role("list", name="Compared campaigns").get_by_role("listitem")
     shown(chosen).to_have_text(["night rain×", "ball×"])
     shown(page.get_by_role("heading", name="Settings that differ")).to_be_visible()
+    found = page.get_by_role("row").filter(
+        has=page.get_by_role("rowheader", name="Distinct boundary solutions")
+    )
+    for cell, campaign in zip(found.get_by_role("cell").all(), (site.urban, site.ball), strict=True):
+        told = expect(site.client.get(f"{API}/campaigns/{campaign}/findings"))["findings"][0]
+        shown(cell).to_have_text(told["figures"][0]["term"])
     chosen.filter(has_text="night rain").get_by_role("button").click()
     shown(chosen).to_have_count(1)

@@ -29,14 +29,15 @@ def test_a_toy_kind_has_a_card_with_its_table_and_all_its_rows(
     shown(page.get_by_role("region", name="Finding", exact=True)).to_contain_text(
         f"Solution {worst} is the most"
     )
+    steps = page.get_by_role("region", name="What to do next")
+    shown(steps.get_by_text("What happens there?")).to_be_visible()
+    page.get_by_role("tab", name="Results").click()
     card = page.get_by_role("region", name="Extremes", exact=True)
     shown(card.get_by_role("columnheader", name="robustness (m)")).to_be_visible()
     shown(card.get_by_role("row")).to_have_count(11)
     shown(card.get_by_role("link", name=str(worst), exact=True)).to_be_visible()
     card.get_by_role("button", name="Show all 40 rows").click()
     shown(card.get_by_role("row")).to_have_count(41)
-    steps = page.get_by_role("region", name="What to do next")
-    shown(steps.get_by_text("What happens there?")).to_be_visible()
 
 
 def test_a_toy_algorithm_of_pairs_has_the_pages_of_pairs(
@@ -50,6 +51,7 @@ def test_a_toy_algorithm_of_pairs_has_the_pages_of_pairs(
     words = f"{count} distinct pairs across the boundary"
     shown(page.get_by_role("region", name="Finding", exact=True)).to_contain_text(words)
     shown(page.get_by_role("region", name="What to do next")).to_contain_text("Do the pairs hold?")
+    page.get_by_role("tab", name="Search").click()
     shown(page.get_by_role("heading", name="Fitness by generation")).to_be_hidden()
     shown(page.get_by_role("heading", name="Distinct boundary solutions")).to_be_hidden()
     page = visit(origin(own), f"#/campaigns/{campaign}/pairs")
@@ -67,11 +69,12 @@ def test_thresholds_have_a_curve_each(
     (one,) = expect(own.get(f"/api/v1/campaigns/{campaign}/findings/thresholds"))["view"]["thresholds"]
     page = visit(origin(own), f"#/campaigns/{campaign}")
     shown(page.get_by_role("region", name="Finding", exact=True)).to_contain_text("1 threshold of 1 kind")
+    shown(page.get_by_role("region", name="What to do next")).to_contain_text("Do both ends hold?")
+    page.get_by_role("tab", name="Results").click()
     card = page.get_by_role("region", name="Thresholds", exact=True)
     shown(card.get_by_role("img")).to_have_attribute("aria-label", re.compile(re.escape(one["turns"])))
     shown(card.locator("svg circle")).to_have_count(len(one["dots"]) + 1)
     shown(card.get_by_role("link", name=str(one["pair"]["unsafe"]["number"]), exact=True)).to_be_visible()
-    shown(page.get_by_role("region", name="What to do next")).to_contain_text("Do both ends hold?")
 
 
 def test_an_experiment_compares_methods_by_their_thresholds(

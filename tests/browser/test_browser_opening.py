@@ -7,15 +7,24 @@ from typing import Any
 import httpx
 import pytest
 from playwright.sync_api import expect as shown
-from support.api import FakeWorker, ball, coordinator, expect, finish, submit
+from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, progress, submit
 from support.problems import small_problems
 
-from browser.served import API, NOBODYS, origin
+from browser.served import API, NOBODYS, PATIENCE_S, Served, origin
 from browser.visits import Visits
 
 pytestmark = pytest.mark.long("the dashboard beyond a walk through it")
 
 PHONE_WIDTH, PHONE_HEIGHT = 390, 844
+DRIVES: dict[str, Any] = {
+    "name": "pairs of drives",
+    "problem": {"id": "urban-injected@1", "params": {"duration_s": 12.0}},
+    "algorithm": {"id": "edge@1", "params": {"eps": 1.0, "d_th": 0.1}},
+    "budget": {"simulations": 24},
+    "seed": 8,
+}
+"""A search whose pairs can be drawn; with such thresholds a few drives have enough of them."""
+
 PAIRS = ball(name="edge", algorithm={"id": "edge@1", "params": {"eps": 0.3, "d_th": 0.1}})
 BESIDE_CARDS = """() => [...document.querySelectorAll("main section.card")]
   .filter(card => card.checkVisibility()).map(card => card.getAttribute("aria-label"))"""
@@ -43,25 +52,58 @@ def edge(own: httpx.Client, searched: tuple[Path, str]) -> str:
     return searched[1]
 
 
+SHIFTS = """() => new PerformanceObserver((list) => {
+  for (const one of list.getEntries()) window.shifted = (window.shifted ?? 0) + one.value;
+}).observe({ type: "layout-shift", buffered: true })"""
+BOTTOM = """() => Math.max(...[...document.querySelectorAll("main section.card")]
+  .map((card) => card.getBoundingClientRect().bottom + scrollY))"""
+
+
+@pytest.fixture(scope="module")
+def drives(site: Served) -> str:
+    """A finished search for pairs of drives."""
+    campaign = submit(site.client, DRIVES)
+    eventually(lambda: progress(site.client, campaign)["status"] == "finished", "the search ends", PATIENCE_S)
+    return campaign
+
+
+@pytest.mark.parametrize(("width", "height", "screens"), [(1280, 900, 1), (PHONE_WIDTH, PHONE_HEIGHT, 2)])
+def test_finding_pictures_and_next_steps_fit_and_stay_where_they_are(
+    site: Served, drives: str, visit: Visits, width: int, height: int, screens: int
+) -> None:
+    page = visit(site.url, f"#/campaigns/{drives}", width=width, height=height)
+    page.evaluate(SHIFTS)
+    shown(page.locator(".best-pairs figure .sides.drawn")).to_have_count(3, timeout=PATIENCE_S * 1000)
+    shown(page.get_by_role("region", name="What to do next")).to_contain_text("Do the pairs hold?")
+    assert page.evaluate(BOTTOM) <= screens * height
+    assert page.evaluate("() => window.shifted ?? 0") < 0.01
+
+
 def finding_of(client: httpx.Client, campaign: str) -> dict[str, Any]:
     found: dict[str, Any] = expect(client.get(f"{API}/campaigns/{campaign}/findings"))
     return found
 
 
-def test_the_finding_comes_first_then_what_to_do_then_the_map_and_delete_last(
+def test_the_overview_has_the_finding_and_what_to_do_and_each_tab_its_cards(
     own: httpx.Client, edge: str, visit: Visits
 ) -> None:
     page = visit(origin(own), f"#/campaigns/{edge}")
     found = finding_of(own, edge)
     shown(page.get_by_role("region", name="Finding")).to_contain_text(found["words"])
-    for card in ("What to do next", "Map", "Pairs", "Parameter dependence"):
+    assert page.evaluate(BESIDE_CARDS) == ["Finding", "Best pairs", "What to do next"]
+    for tab, card in (
+        ("Map", "Map"),
+        ("Results", "Pairs"),
+        ("Parameters", "Parameter dependence"),
+        ("Search", "About the run"),
+    ):
+        page.get_by_role("tab", name=tab).click()
         shown(page.get_by_role("region", name=card, exact=True)).to_be_visible()
-    cards = page.evaluate(BESIDE_CARDS)
-    assert cards[:4] == ["Finding", "What to do next", "Map", "Pairs"]
-    assert cards[-2:] == ["Settings", "About the run"]
-    shown(page.get_by_role("region", name="Finding")).not_to_contain_text("SHA-256")
+        shown(page.get_by_role("region", name="Finding")).to_be_hidden()
     page.get_by_role("region", name="About the run").locator("summary").click()
     shown(page.get_by_text("SHA-256 of the archive")).to_be_visible()
+    page.get_by_role("tab", name="Settings").click()
+    page.reload()
     shown(page.get_by_role("button").last).to_have_text("Delete")
     assert (
         page.get_by_role("button", name="Delete").evaluate("node => getComputedStyle(node).borderWidth")
@@ -75,6 +117,7 @@ def test_a_step_is_taken_by_its_button_and_followed_until_it_is_answered(
     page = visit(origin(own), f"#/campaigns/{edge}")
     steps = page.get_by_role("region", name="What to do next").get_by_role("listitem")
     confirm = steps.filter(has_text="Do the pairs hold?")
+    confirm.get_by_text("Command").click()
     shown(confirm.get_by_text(f"brink pairs {edge} --confirm 30 --server {origin(own)}")).to_be_visible()
     confirm.get_by_role("button", name="Confirm the pairs").click()
     shown(confirm.get_by_role("progressbar")).to_be_visible()
@@ -95,7 +138,7 @@ def test_results_appear_as_they_are_reported_and_no_card_before_it_has_something
     page = visit(origin(own), f"#/campaigns/{campaign}")
     about = page.get_by_role("region", name="Finding")
     shown(about).to_contain_text("No simulation has a verdict yet.")
-    assert page.evaluate(BESIDE_CARDS) == ["Finding", "Settings", "About the run"]
+    assert page.evaluate(BESIDE_CARDS) == ["Finding"]
     worker = FakeWorker(own)
     worker.report(worker.lease(max_jobs=5))
     shown(about).to_contain_text("5 of 40", timeout=20_000)

@@ -34,7 +34,7 @@ TRACE, GUARDED = (
 def solution(site: Served, browse: Browse) -> Page:
     """The page of an unsafe boundary solution, opened from the table, with its replay loaded."""
     number = unsafe_one(site)["number"]
-    page = browse(loose(site.urban))
+    page = browse(loose(site.urban, "results"))
     table = page.get_by_role("region", name="The boundary", exact=True)
     table.get_by_role("searchbox", name="Find").fill(str(number))
     table.get_by_role("link", name=str(number), exact=True).click()
@@ -165,3 +165,39 @@ def test_a_careful_drivers_drive_is_beside_that_which_it_would_have_avoided(
         changes(maps.nth(index), before[index])
     page.get_by_role("region", name="Events in chronological order").get_by_role("button").last.click()
     assert clock(page) > 0, "both drives go where the system's events lead"
+
+
+LABELS = """async () => {
+  const { labelPlaces } = await import(new URL("dashboard/js/views/solution/drawing.js", document.baseURI));
+  let state = 1;
+  const random = (most) => (state = (state * 48271) % 2147483647) / 2147483647 * most;
+  const [width, height] = [300, 160];
+  return Array.from({ length: 200 }, () => {
+    const labels = Array.from({ length: 12 }, (_, index) => ({
+      words: "person".repeat(1 + index % 3), box: [random(400) - 50, random(260) - 50, random(60), random(60)],
+    }));
+    return { labels, placed: labelPlaces(labels, width, height, (words) => 7 * words.length) };
+  });
+}"""
+
+
+def test_labels_stay_inside_the_picture_and_clear_of_each_other(browse: Browse) -> None:
+    pictures = browse().evaluate(LABELS)
+    for drawn in pictures:
+        placed = drawn["placed"]
+        for index, one in enumerate(placed):
+            assert one["left"] >= 0
+            assert one["left"] + one["wide"] <= 300
+            assert 15 <= one["bottom"] <= 160
+            for other in placed[:index]:
+                beside = (
+                    one["left"] >= other["left"] + other["wide"] or other["left"] >= one["left"] + one["wide"]
+                )
+                assert beside or abs(one["bottom"] - other["bottom"]) >= 15
+        if any(_is_inside(*label["box"]) for label in drawn["labels"]):
+            assert placed, "there is room for a label"
+    assert sum(len(drawn["placed"]) for drawn in pictures) > 4 * len(pictures)
+
+
+def _is_inside(left: float, top: float, wide: float, high: float) -> bool:
+    return left >= 0 and top >= 0 and left + wide <= 300 and top + high <= 160

@@ -1,5 +1,6 @@
 """Submitting a campaign: by the form, as a file, as a clone; what is wrong is said where it is wrong."""
 
+import json
 import re
 from typing import Any
 
@@ -105,3 +106,40 @@ def test_a_clone_is_the_same_campaign_with_the_next_seed(site: Served, browse: B
     original = expect(site.client.get(f"{API}/campaigns/{site.urban}"))["body"]
     assert body_of(page, site.client) == {**original, "name": "clone", "seed": original["seed"] + 1}
     expect(site.client.post(f"{API}/campaigns/{page.url.rpartition('/')[2]}/cancel"))  # it simulates for real
+
+
+def test_the_odd_and_the_distribution_are_entered_in_fields(site: Served, browse: Browse) -> None:
+    page = browse("#/new")
+    page.get_by_label("Name", exact=True).fill("within limits")
+    page.get_by_label("Simulations", exact=True).fill("20")
+    page.get_by_label("Problem", exact=True).select_option("urban-errors@1")
+    page.get_by_text("Parameters of the problem").click()
+    odd, distribution = (page.get_by_role("group", name=name) for name in ("ODD", "Operational distribution"))
+    for group, parameters in (
+        (odd, ("scenario.weather", "behaviour.error_1.onset_s")),
+        (distribution, ("scenario.time_of_day", "behaviour.error_1.duration_s")),
+    ):
+        for parameter in parameters:
+            group.get_by_role("button", name=re.compile("a parameter$")).click()
+            group.get_by_role("combobox", name=re.compile("^Parameter")).last.select_option(parameter)
+    odd.get_by_label("clear").check()
+    odd.get_by_label("wet cloudy").check()
+    odd.get_by_label("Maximum").fill("6")
+    distribution.get_by_label("Weight of noon").fill("3")
+    distribution.get_by_label("Weight of night").fill("1")
+    distribution.get_by_label("Kind of distribution").select_option("exponential")
+    distribution.get_by_label("mean of the distribution").fill("2.5")
+    for _ in range(2):  # the form holds what it makes of its own file
+        page.get_by_role("button", name="Campaign file").click()
+        written = page.get_by_label("Campaign file").input_value()
+        params = json.loads(written.partition("\n")[2])["problem"]["params"]
+        assert params["odd"] == {
+            "scenario.weather": ["clear", "wet_cloudy"],
+            "behaviour.error_1.onset_s": {"max": 6},
+        }
+        assert params["distribution"] == {
+            "scenario.time_of_day": {"weights": {"noon": 3, "night": 1}},
+            "behaviour.error_1.duration_s": {"exponential": {"mean": 2.5}},
+        }
+        page.get_by_role("button", name="Form").click()
+        shown(odd.get_by_label("Maximum")).to_have_value("6")

@@ -10,6 +10,15 @@ PATIENCE_MS = 60_000
 """For what a worker has to simulate first."""
 
 
+TABS = {
+    "results": ".kind tbody tr",
+    "parameters": ".panel svg",
+    "search": ".chart canvas",
+    "settings": "section[aria-label='Settings'] tbody tr",
+}
+"""What is there once a tab of a campaign is drawn, by tab."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
     """A view.
@@ -45,17 +54,17 @@ def views_of(
         pair: The address of one of them.
         thresholds: The query of the campaign's address.
     """
+    query = f"{thresholds}&" if thresholds else "?"
     return [
         View(name="campaigns", place="#/", ready=("table.campaigns tbody tr",)),
         View(
             name="campaign",
             place=f"#/campaigns/{campaign}{thresholds}",
-            ready=(
-                "section[aria-label='The boundary'] tbody tr",
-                ".chart canvas",
-                ".panel svg",
-                ".legend li",
-            ),
+            ready=("canvas.map", ".legend li", ".finding dd"),
+        ),
+        *(
+            View(name=f"campaign, {tab}", place=f"#/campaigns/{campaign}{query}tab={tab}", ready=(ready,))
+            for tab, ready in TABS.items()
         ),
         View(name="new-campaign", place="#/new", ready=("text=Submit campaign",)),
         View(

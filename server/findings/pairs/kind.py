@@ -34,7 +34,7 @@ from brink.server.states import Selection
 
 MOST_SOLUTIONS: Final = 20_000
 """Largest archive that is searched for pairs for a list; a campaign's page has those of others."""
-BEST: Final = 2
+BEST: Final = 3
 
 
 class PairsSettings(Settings):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from brink.search.distribution import distributed, distribution_words, rows_of_table
+from brink.search.distribution import NUMBERS, distributed, distribution_words, rows_of_table
 from brink.search.errors import DistributionError
 from brink.search.odd import limited
 from brink.search.space import Categorical, Component, Dormant, Extent, Integer, Real, SearchSpace
@@ -43,6 +43,14 @@ def drawn(space: SearchSpace, count: int = 600) -> dict[str, list[Any]]:
             for name, value in values.items():
                 columns.setdefault(f"{component}.{name}", []).append(value)
     return columns
+
+
+@pytest.mark.parametrize("kind", NUMBERS)
+def test_the_numbers_of_a_kind_are_those_that_it_takes(kind: str) -> None:
+    names = NUMBERS[kind]
+    distributed(SPACE, {"scenario.gap": {kind: dict.fromkeys(names, 2.0)}})
+    with pytest.raises(DistributionError, match=f"expected {', '.join(names)}"):
+        distributed(SPACE, {"scenario.gap": {kind: {}}})
 
 
 @pytest.mark.parametrize(

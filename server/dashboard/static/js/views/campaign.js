@@ -1,10 +1,11 @@
-/** One campaign: its finding, best pairs and next steps first; then the map, the tables, the settings; the digest last. */
+/** One campaign: its finding, best pictures and next steps on one screen; everything else behind tabs. */
 
 import { download, isOpen } from "../api.js";
 import { h, replace } from "../dom.js";
 import { clause, plural, sentence, when } from "../format.js";
 import { go, link } from "../router.js";
 import { badge, callout, sure, waitsFor, workerCommand } from "../parts/elements.js";
+import { tabs } from "../parts/tabs.js";
 import { steering } from "./campaigns.js";
 import { aboutCard, dependenceCard, repeatsCard, settingsCard } from "./campaign/cards.js";
 import { convergenceCards, Generations } from "./campaign/convergence.js";
@@ -36,24 +37,49 @@ export async function show(main, context, { parts, query }) {
   });
   const opening = finding(context, id, (read) => {
     ringed = read.findings.find((one) => one.rings.length)?.kind ?? null;
-    if (read.exclusive) map.before(kinds);
     kinds.update(read);
+    arrange(read);
+    open();
   }, () => polling.now());
   const found = repeatsCard(context, id);
   const dependence = dependenceCard(context, id, map.parameters);
   const about = aboutCard(algorithm);
   const removing = h("span");
+  const results = h("div.stack", null, kinds, found);
+  const pages = tabs("Parts of the campaign", query, {
+    overview: ["Overview", opening],
+    map: ["Map", map],
+    results: ["Results", results],
+    parameters: ["Parameters", dependence],
+    search: ["Search", h("div.stack", null, convergence.card, about)],
+    settings: ["Settings", h("div.stack", null, settingsCard(body, { problems, algorithms }),
+      h("p.hint", null, `Campaign ${id}, submitted ${when(campaign.created_at)}. `,
+        h("button.quiet", { type: "button", onclick: () => context.tell(() => download(`campaigns/${id}/archive.npz`, `archive-${id}.npz`)) }, "All solutions (npz)"), removing))],
+  });
+  const page = h("div", { hidden: true }, notes, pages);
+  const loading = h("p.loading", { role: "status" }, "Loading …");
+  let progress = null;
 
   replace(main,
-    h("p.crumb", null, h("a", { href: link("campaigns") }, "Campaigns")),
-    h("div.head", null, h("h1", null, name), state, actions),
-    labelled,
-    notes,
-    h("div.stack", null,
-      opening, map, kinds, found, dependence, convergence.card,
-      settingsCard(body, { problems, algorithms }), about,
-      h("p.hint", null, `Campaign ${id}, submitted ${when(campaign.created_at)}. `,
-        h("button.quiet", { type: "button", onclick: () => context.tell(() => download(`campaigns/${id}/archive.npz`, `archive-${id}.npz`)) }, "All solutions (npz)"), removing)));
+    h("div.head.campaign", null, h("h1", null, name), state, labelled, actions),
+    loading, page);
+
+  /** Show the page once there is all that decides its layout, so that nothing moves afterwards. */
+  function open() {
+    if (!progress || !opening.read) return;
+    loading.remove();
+    page.hidden = false;
+  }
+
+  /** Put beside the next steps what tells most: the pictures, else the map, or the results of a search whose map says nothing. */
+  function arrange(read) {
+    const beside = opening.hasPictures ? null : read.exclusive ? results : map;
+    for (const [part, node] of Object.entries({ map, results })) {
+      const to = node === beside ? opening.place : pages.panels[part];
+      if (node.parentElement !== to) to.append(node);
+    }
+    pages.settle();
+  }
 
   const polling = context.watch(() => `campaigns/${id}/progress?since=${generations.next}`, take, {
     busy: (read) => read.status === "running",
@@ -62,6 +88,7 @@ export async function show(main, context, { parts, query }) {
   let steered = "";
 
   function take(read) {
+    progress = read;
     generations.take(read.generations);
     const ended = !isOpen(read.status);
     state.update(read.status);
@@ -81,6 +108,7 @@ export async function show(main, context, { parts, query }) {
     found.news(`${read.sequence}`);
     if (read.evaluated) dependence.news(read.generation);
     about.update(read, generations);
+    open();
   }
 
   function warn(read) {

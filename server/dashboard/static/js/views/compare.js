@@ -1,9 +1,9 @@
-/** Campaigns side by side: facts, pairs, convergence curves, DBS next to the controls, differences in their settings. */
+/** Campaigns side by side: what each found of what they searched for, convergence curves, differences in their settings. */
 
 import { ApiError, get, isOpen, rowsOf } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
-import { count, figure, minus, percent, plainId } from "../format.js";
-import { withRetries, poll, whenMade } from "../polling.js";
+import { capital, count, figure, minus, percent, plainId } from "../format.js";
+import { loadOnNews, withRetries, poll, whenMade } from "../polling.js";
 import { link, rewrite } from "../router.js";
 import { chart } from "../parts/charts.js";
 import { callout, matrix, NAMES, segments, thresholds } from "../parts/elements.js";
@@ -69,6 +69,7 @@ function pageOf(context, query, changed, chooseFitness) {
   const choice = thresholds(query, changed);
   const chips = h("ul.chips", { "aria-label": "Compared campaigns" });
   const few = h("p.empty");
+  let complete = false; // whether there is something to show of each campaign
   const notes = h("div");
   const facts = matrix("Campaigns and their results", "Property", { right: false });
   const dbs = convergenceChart("DBS against the number of simulations", context, { scales: { x: { time: false }, y: { range: fromNought } } });
@@ -84,19 +85,20 @@ function pageOf(context, query, changed, chooseFitness) {
   const same = h("p.muted");
   const dbsCard = h("div.card", null, dbsHeading, dbs, dbsHint);
   const gridCard = h("div.card", null, gridHeading, grid, says, gridHint);
+  const fitnessCard = h("div.card", null, h("div.inline.between", null, h("h2", null, "Fitness"), which), fitness, h("p.hint", null, "The quantity that each algorithm minimises; scales of different algorithms may differ."));
+  const curves = h("div.grid-2", null, dbsCard, fitnessCard);
   const shown = h("div.stack", null, notes, choice,
     h("div.card", null, h("h2", null, "Side by side"), facts),
-    h("div.grid-2", null,
-      dbsCard,
-      h("div.card", null, h("div.inline.between", null, h("h2", null, "Fitness"), which), fitness, h("p.hint", null, "The quantity that each algorithm minimises; scales of different algorithms may differ."))),
+    curves,
     gridCard,
     h("div.card", null, h("h2", null, "Settings that differ"), settings, same));
 
   function draw(all, fitnessName, take) {
     keyed(chips, all, (one) => one.id, (one) => chip(one, take));
-    shown.hidden = all.length < 2;
-    few.hidden = all.length >= 2;
-    text(few, all.length === 1 ? "Choose one more campaign." : "Choose at least two campaigns.");
+    complete ||= all.every((one) => one.trouble || (one.campaign && one.progress && one.findings));
+    shown.hidden = all.length < 2 || !complete;
+    few.hidden = !shown.hidden;
+    text(few, all.length === 0 ? "Choose at least two campaigns." : all.length === 1 ? "Choose one more campaign." : "Loading …");
     if (shown.hidden) return;
     const limits = all.find((one) => one.campaign)?.campaign.thresholds;
     if (limits) choice.update(limits);
@@ -104,15 +106,18 @@ function pageOf(context, query, changed, chooseFitness) {
     const columns = all.map((one) => ({ key: `${one.id} ${one.name}`, head: () => h("span", null, swatch(one.colour), h("a", { href: link("campaigns", one.id) }, one.name)) }));
     note(notes, all);
     const boundary = all.filter(searchesBoundary);
-    for (const node of [choice, dbsCard, gridCard]) node.hidden = boundary.length === 0 && all.every((one) => one.progress);
-    facts.update(columns, factRows(all, chosen));
+    for (const node of [choice, dbsCard, gridCard]) node.hidden = boundary.length === 0;
+    const minimising = all.filter((one) => begun(one) && one.progress.minimises);
+    fitnessCard.hidden = minimising.length === 0;
+    curves.hidden = dbsCard.hidden && fitnessCard.hidden;
+    facts.update(columns, [...factRows(all), ...foundRows(all), ...(boundary.length ? boundaryRows(all, chosen) : [])]);
     text(dbsHeading, chosen.measure === "strict" ? "Strict DBS against the number of simulations" : "DBS against the number of simulations");
     const usual = all.find((one) => one.progress)?.progress;
     text(dbsHint, usual ? `After each generation, at t_b ${figure(usual.t_b)}, d_th ${figure(usual.d_th)}.` : "");
     const series = chosen.measure === "strict" ? "strict_dbs" : "dbs";
     dbs.update(boundary.filter(begun).map((one) => lineOf(one, series)));
     which.update(FITNESS, fitnessName);
-    fitness.update(all.filter(begun).map((one) => lineOf(one, fitnessName)));
+    fitness.update(minimising.map((one) => lineOf(one, fitnessName)));
     text(gridHeading, `DBS within the budget at d_th ${figure(chosen.d_th)}, strict DBS in brackets`);
     const draws = all.find((one) => one.scores?.control)?.scores.draws;
     text(gridHint, `${draws ? `Controls: verdicts redrawn independently of behaviour; means of ${draws} draws. ` : ""}${ALL_SAFE}`);
@@ -157,13 +162,13 @@ function note(place, all) {
   const worlds = new Set(bodies.map((body) => JSON.stringify(body.problem)));
   const simulators = new Set(all.map((one) => one.campaign?.simulator).filter(Boolean));
   const budgets = new Set(all.map((one) => one.progress?.budget).filter(Boolean));
-  const others = all.filter((one) => one.progress && !searchesBoundary(one));
+  const sought = new Set(all.flatMap((one) => soughtBy(one).map((found) => found.title.toLowerCase())));
   const words = [
     problems.size > 1 && ["warn", "The campaigns search different problems, so their results are not comparable."],
     problems.size === 1 && worlds.size > 1 && ["warn", "The problems of the campaigns have different parameters, which may explain differences."],
     simulators.size > 1 && ["warn", `The campaigns were simulated with different simulators (${[...simulators].join(", ")}), which may explain differences. Simulate them again with one simulator to compare anything else.`],
     problems.size === 1 && budgets.size > 1 && ["warn", "The budgets of the campaigns differ, so the totals are not comparable. The charts compare equal numbers of simulations."],
-    others.length > 0 && ["", `${others.map((one) => one.name).join(", ")} ${others.length === 1 ? "does" : "do"} not search for the hazard boundary, so DBS is not shown for ${others.length === 1 ? "it" : "them"}.`],
+    sought.size > 1 && ["", `The campaigns search for different things: ${[...sought].join(", ")}. What a campaign did not search for, it may still have met.`],
     ...all.filter((one) => one.trouble).map((one) => ["bad", `${one.name}: ${one.trouble}`]),
   ].filter(Boolean);
   const told = JSON.stringify(words);
@@ -172,23 +177,58 @@ function note(place, all) {
   replace(place, words.map(([kind, said]) => callout(kind, said)));
 }
 
-function factRows(all, { measure, t_b, d_th, i, j }) {
-  const row = (label, say) => ({ key: label, label, cells: all.map((one) => say(one) ?? (one.trouble ? "–" : "loading")) });
+function rowOf(all, label, say) {
+  return { key: label, label, cells: all.map((one) => say(one) ?? (one.trouble ? "–" : "loading")) };
+}
+
+/** Return the rows about the campaigns themselves. */
+function factRows(all) {
+  const row = (label, say) => rowOf(all, label, say);
+  return [
+    row("Problem", (one) => one.campaign && plainId(one.campaign.body.problem.id)),
+    row("Simulator", (one) => one.campaign && (one.campaign.simulator ?? "none")),
+    row("Algorithm", (one) => one.campaign?.body.algorithm.id),
+    row("Seed", (one) => one.campaign && String(one.campaign.body.seed)),
+    row("Status", (one) => one.progress?.status),
+    row("Simulations", (one) => one.progress && `${count(one.progress.simulations)} of ${count(one.progress.budget)}`),
+    row("Unsafe share", (one) => one.progress && percent(unsafeShare(one.progress))),
+    row("Failed", (one) => one.progress && count(one.progress.failed + one.progress.reported_failed)),
+  ];
+}
+
+/** Return the unsafe share of all results, also of those that the search has not received yet, as the page of a campaign does. */
+function unsafeShare({ evaluated, reported, unsafe, reported_unsafe }) {
+  return evaluated + reported ? (unsafe + reported_unsafe) / (evaluated + reported) : null;
+}
+
+/** Return what a campaign searched for; nothing until that is known. */
+function soughtBy({ findings }) {
+  return findings?.findings.filter((one) => one.role === "sought") ?? [];
+}
+
+/** Return a row for each key figure of what any of the campaigns searched for. */
+function foundRows(all) {
+  const kinds = new Set(all.flatMap((one) => soughtBy(one).map(({ kind }) => kind)));
+  const rows = new Map();
+  const stem = (words) => words.replace(/s\b/g, ""); // 1 pair, 2 pairs
+  const figuresOf = (one) => one.findings?.findings.filter(({ kind }) => kinds.has(kind)).flatMap(({ figures }) => figures) ?? [];
+  for (const { words } of all.flatMap(figuresOf)) {
+    const known = rows.get(stem(words));
+    if (!known || known.length < words.length) rows.set(stem(words), words);
+  }
+  return [
+    rowOf(all, "Found", (one) => one.findings?.words),
+    ...[...rows].map(([key, words]) => rowOf(all, capital(words), (one) => one.findings && (figuresOf(one).find((each) => stem(each.words) === key)?.term ?? "–"))),
+  ];
+}
+
+/** Return the rows that only searches for the boundary have. */
+function boundaryRows(all, { measure, t_b, d_th, i, j }) {
+  const row = (label, say) => rowOf(all, label, say);
   const scored = (say, so_far) => (one) => (one.progress && !searchesBoundary(one) ? "–" : one.scores ? say(one.scores) : one.progress ? one.scoring || so_far?.(one) || "after the end" : null);
   const latest = (name) => ({ progress, generations }) => (progress.t_b === t_b && progress.d_th === d_th && generations.length > 0 ? `${count(generations.at(-1)[name])} so far` : "");
   const control = (say) => scored((scores) => (scores.control ? say(scores.control) : "none"));
   return [
-    row("Problem", (one) => one.campaign && plainId(one.campaign.body.problem.id)),
-    row("Simulator", (one) => one.campaign && (one.campaign.simulator ?? "none")),
-    row("Algorithm", (one) => one.campaign && plainId(one.campaign.body.algorithm.id)),
-    row("Seed", (one) => one.campaign && String(one.campaign.body.seed)),
-    row("Status", (one) => one.progress?.status),
-    row("Simulations", (one) => one.progress && `${count(one.progress.simulations)} of ${count(one.progress.budget)}`),
-    row("Unsafe share", (one) => one.progress && percent(one.progress.evaluated ? one.progress.unsafe / one.progress.evaluated : null)),
-    row("Failed", (one) => one.progress && count(one.progress.failed)),
-    row("Distinct pairs", (one) => one.pairs && (one.pairs.refused ?? count(one.pairs.distinct))),
-    row("Pairs simulated again", (one) => one.pairs && (one.pairs.refused || one.pairs.computed ? "–" : count(one.pairs.tried))),
-    row("Of these confirmed", (one) => one.pairs && (one.pairs.refused || one.pairs.tried === 0 ? "–" : count(one.pairs.confirmed))),
     row("DBS within the budget", scored((scores) => figure(scores.dbs.at(-1)[i][j]), latest("dbs"))),
     row("Strict DBS within the budget", scored((scores) => figure(scores.strict.at(-1)[i][j]), latest("strict_dbs"))),
     row(`${NAMES[measure]} of the control`, control((blind) => figure(blind[measure].at(-1)[i][j]))),
@@ -282,14 +322,13 @@ function joined(lines) {
  * @param {string} id
  * @param {object} context Of the view.
  * @param {() => void} changed Called whenever one of them changes.
- * @returns {object} ``id``, and once they are known ``campaign``, ``progress``, ``generations``, ``scores``, ``scoring`` (words), ``pairs``
- *   (``refused`` says why there are none to count), ``trouble``;
+ * @returns {object} ``id``, and once they are known ``campaign``, ``progress``, ``generations``, ``findings``, ``scores``, ``scoring`` (words), ``trouble``;
  *   ``leave()`` stops following.
  */
 function follow(id, context, changed) {
   const own = new AbortController();
   context.signal.addEventListener("abort", () => own.abort(), { signal: own.signal });
-  const followed = { id, campaign: null, progress: null, generations: [], scores: null, scoring: "", pairs: null, trouble: "", leave: () => own.abort() };
+  const followed = { id, campaign: null, progress: null, generations: [], scores: null, scoring: "", findings: null, trouble: "", leave: () => own.abort() };
   const path = `campaigns/${encodeURIComponent(id)}`;
   const retrying = { ...context.retrying, signal: own.signal };
 
@@ -307,20 +346,14 @@ function follow(id, context, changed) {
     const known = first === undefined ? followed.generations : followed.generations.filter((one) => one.number < first.number);
     followed.generations = [...known, ...read.generations];
     if (!isOpen(read.status) && !followed.scores && !followed.scoring && searchesBoundary(followed)) score();
-    if (followed.pairs === null || (!isOpen(read.status) && !followed.pairs.complete)) countPairs();
+    find(`${read.sequence} ${read.reported} ${read.status}`);
     changed();
   }
 
-  async function countPairs() {
-    try {
-      followed.pairs = await withRetries(() => get(`${path}/pairs?limit=1`, retrying), retrying);
-    } catch (error) {
-      if (own.signal.aborted) return;
-      if (error.status !== 422) return void refuse(error);
-      followed.pairs = { refused: "too many to tell apart", complete: true };
-    }
+  const find = loadOnNews(async () => {
+    followed.findings = await get(`${path}/findings`, retrying);
     changed();
-  }
+  }, { signal: own.signal, refuse, leastMs: 5_000 });
 
   async function score() {
     followed.scoring = "being scored";

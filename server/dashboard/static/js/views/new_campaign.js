@@ -5,6 +5,7 @@ import { h, replace, text } from "../dom.js";
 import { plainId, sentence } from "../format.js";
 import { go } from "../router.js";
 import { callout } from "../parts/elements.js";
+import { byParameter } from "../parts/by_parameter.js";
 import { field } from "../parts/fields.js";
 
 const FIRST = { problem: "urban-errors@1", algorithm: "edge@2" };
@@ -252,7 +253,10 @@ function plugin(part, title, known, first, told = () => {}) {
     select.value = id;
     text(summary, chosen?.summary ?? "");
     const properties = chosen?.params.properties ?? {};
-    fields = Object.entries(properties).map(([name, schema]) => field(name, schema, `/${part}/params/${name}`));
+    fields = Object.entries(properties).map(([name, schema]) => {
+      const pointer = `/${part}/params/${name}`;
+      return schema.by_parameter ? byParameter(schema, pointer, chosen.space) : field(name, schema, pointer);
+    });
     suggest(suggested);
     replace(prominent, fields.filter((one) => one.main).map((one) => one.node));
     replace(place, fields.filter((one) => !one.main).map((one) => one.node));

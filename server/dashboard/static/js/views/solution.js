@@ -18,6 +18,9 @@ export async function show(main, context, { parts }) {
   ]);
   const judged = judgedBy(solution);
   const evaluated = isEvaluated(solution);
+  const running = isOpen(campaign.status);
+  // Known before anything is shown, so that nothing moves afterwards.
+  const neighbours = evaluated && !running && await context.tell(() => context.get(`${path}/neighbours`));
 
   const verdict = outcomeBadge(solution);
   const figures = facts();
@@ -62,14 +65,9 @@ export async function show(main, context, { parts }) {
     });
   }
 
-  const running = isOpen(campaign.status);
   if (running) context.watch(path, update);
-  if (evaluated) loadNeighbours();
-
-  async function loadNeighbours() {
-    if (running) context.watch(`${path}/neighbours`, around.update, { refuse: () => {} });
-    else await context.tell(async () => around.update(await context.get(`${path}/neighbours`)));
-  }
+  if (neighbours) around.update(neighbours);
+  else if (evaluated && running) context.watch(`${path}/neighbours`, around.update, { refuse: () => {} });
 
   const reason = withoutEpisode(solution);
   if (reason) {
@@ -98,7 +96,7 @@ function head({ campaign, solution, judged, verdict, next }) {
       h("nav.actions.push", { "aria-label": "Solutions" },
         number > 0 && h("a.button", { href: link("campaigns", id, "solutions", number - 1) }, "Previous"),
         next !== undefined && h("a.button", { href: link("campaigns", id, "solutions", next) }, "Next"),
-        h("a.button", { href: link("campaigns", id, { solution: number }) }, "Open on the map"))),
+        h("a.button", { href: link("campaigns", id, { tab: "map", solution: number }) }, "Open on the map"))),
   ];
 }
 

@@ -20,15 +20,15 @@ export function thresholdCurves() {
     update: ({ view }) => {
       above.hidden = !view;
       legend.hidden = Boolean(view?.computed); // nothing is estimated
-      keyed(panels, (view?.thresholds ?? []).map((one) => ({ ...one, computed: view.computed })), (one) => String(one.place), panel);
+      keyed(panels, (view?.thresholds ?? []).map((one) => ({ ...one, computed: view.computed })), (one) => String(one.place), (one) => panel(one));
     },
   };
 }
 
-/** Return the curve of one threshold as a figure; ``update`` takes later states of it. */
-export function panel(first) {
+/** Return the curve of one threshold as a figure, in a picture of some height; ``update`` takes later states of it. */
+export function panel(first, height = HEIGHT) {
   const heading = h("strong");
-  const picture = h("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img" });
+  const picture = h("svg", { viewBox: `0 0 ${WIDTH} ${height}`, role: "img" });
   const ends = h("div.ends.small.muted", { "aria-hidden": "true" });
   const meaning = h("div.meaning.small.muted");
   const shares = h("div.shares.small.muted", { "aria-hidden": "true" }, [1, 0.5, 0].map((at) => h("span", null, percent(at))));
@@ -44,7 +44,7 @@ export function panel(first) {
     replace(ends, [shown.low, middle(one, shown), shown.high].map((at, place) => h("span", null, `${at.toFixed(one.decimals)}${place === 2 && one.unit ? ` ${one.unit}` : ""}`)));
     text(meaning, meaningOf(one));
     attribute(picture, "aria-label", `${one.words}: share of drives that are unsafe, by ${one.parameter}. ${meaningOf(one)}.`);
-    replace(picture, curve(one, shown));
+    replace(picture, curve(one, shown, height));
   };
   node.update(first);
   return node;
@@ -82,10 +82,10 @@ function range(one) {
   return { low: back(low), high: back(high) };
 }
 
-function curve(one, { low, high }) {
+function curve(one, { low, high }, height) {
   const [along] = scale(one);
   const x = (value) => MARGIN + ((along(value) - along(low)) / (along(high) - along(low) || 1)) * (WIDTH - 2 * MARGIN);
-  const y = (share) => HEIGHT - MARGIN - share * (HEIGHT - 2 * MARGIN);
+  const y = (share) => height - MARGIN - share * (height - 2 * MARGIN);
   const { value, share } = one.curve;
   const points = (shares) => shares.map((at, place) => `${x(value[place]).toFixed(1)},${y(at).toFixed(1)}`);
   const line = (given) => h("line", { "vector-effect": "non-scaling-stroke", ...given });
@@ -93,7 +93,7 @@ function curve(one, { low, high }) {
   const sharp = one.outcome === "threshold" && one.at_20 !== null && one.at_80 !== null;
   const [from, to] = sharp ? [x(Math.min(one.at_20, one.at_80)), x(Math.max(one.at_20, one.at_80))] : [0, 0];
   return [
-    sharp && h("rect", { x: from, y: 0, width: Math.max(to - from, 1), height: HEIGHT, fill: "var(--line)", opacity: 0.8 }),
+    sharp && h("rect", { x: from, y: 0, width: Math.max(to - from, 1), height, fill: "var(--line)", opacity: 0.8 }),
     [0, 0.5, 1].map((at) => across(at, { stroke: "var(--line)" })),
     !one.computed && [0.2, 0.8].map((at) => across(at, { stroke: "var(--muted)", "stroke-dasharray": "4 3" })),
     !one.computed && h("path", { d: `M${[...points(one.curve.high), ...points(one.curve.low).reverse()].join("L")}Z`, fill: "var(--unsafe)", opacity: 0.15 }),

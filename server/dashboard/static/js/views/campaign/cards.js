@@ -15,11 +15,11 @@ const LEAST = 15;
 
 /** Return the card of parameter dependence; ``news(generation)`` loads it, ``known`` is called with the parameters. */
 export function dependenceCard(context, id, known) {
-  const panels = h("div.panels");
+  const panels = h("div.panels.dependence");
   const all = h("button", { type: "button", hidden: true, onclick: () => { few = Infinity; draw(); } }, "Show all parameters");
   const card = h("section.card", { "aria-label": "Parameter dependence", hidden: true },
     h("h2", null, "Parameter dependence"),
-    h("p.hint", null, "Share of unsafe solutions by parameter value; strongest dependence first (Cramér's V). Hollow: few solutions. A search does not sample evenly, and its solutions descend from each other: this shows where unsafe solutions were found, neither how likely they are nor what made them unsafe."),
+    h("p.hint", null, "Share of unsafe solutions by parameter value; strongest dependence first (Cramér's V). Dashed: the share of all solutions. Hollow: few solutions. A search does not sample evenly, and its solutions descend from each other: this shows where unsafe solutions were found, neither how likely they are nor what made them unsafe."),
     panels, all);
   let few = FEW;
   let read = null;
@@ -69,11 +69,11 @@ function panel(one, overall, top) {
     groups.map((group) => h("circle", { cx: x(group.at), cy: y(group.hits / group.all), r: 3.6, stroke: colour, fill: group.all < LEAST ? "var(--card)" : colour })));
   const ends = one.labels.length ? [groups[0]?.label, groups.length > 1 && groups.at(-1)?.label] : [figure(low), `${figure(high)} ${one.unit}`];
   return h("figure.panel", null,
-    h("figcaption", null, h("strong", null, name), h("span.small.muted", null, ` V ${figure(one.strength, 2)}, ${count(groups.reduce((sum, group) => sum + group.all, 0))}`)),
-    h("div.plot", null, h("span.top.small.muted", { "aria-hidden": "true" }, percent(top)), picture),
-    one.labels.length && groups.length <= 6
-      ? h("div.groups.small.muted", { "aria-hidden": "true" }, groups.map((group) => h("span", null, group.label)))
-      : h("div.ends.small.muted", { "aria-hidden": "true" }, ends.map((words) => h("span", null, words || ""))));
+    h("figcaption", null, h("strong", null, name), h("div.small.muted", null, `V ${figure(one.strength, 2)}, ${plural(groups.reduce((sum, group) => sum + group.all, 0), "solution")}`)),
+    h("div.plot", null, h("div.shares.small.muted", { "aria-hidden": "true" }, [top, top / 2, 0].map((share) => h("span", null, percent(share)))), picture, h("span"),
+      one.labels.length && groups.length <= 6
+        ? h("div.groups.small.muted", { "aria-hidden": "true" }, groups.map((group) => h("span", { title: group.label }, spaced(group.label))))
+        : h("div.ends.small.muted", { "aria-hidden": "true" }, ends.map((words) => h("span", null, words || "")))));
 }
 
 /**
@@ -122,15 +122,14 @@ const MOST_LETTERS = 120;
 export function settingsCard(body, catalogue) {
   const problem = catalogue.problems.find((one) => one.id === body.problem.id);
   const algorithm = catalogue.algorithms.find((one) => one.id === body.algorithm.id);
-  return h("section.card", { "aria-label": "Settings" },
-    h("details", null, h("summary", null, h("h2", null, "Settings")),
-      h("div.grid-2", null,
-        part(`Problem ${body.problem.id}`, problem, body.problem.params),
-        part(`Algorithm ${body.algorithm.id}`, algorithm, body.algorithm.params)),
-      part("Campaign", null, {
-        simulations: body.budget.simulations, seed: body.seed, priority: body.priority, repeats: body.repeats, ...body.execution,
-        ...(body.llm ? { language_model: body.llm } : {}),
-      })));
+  return h("section.card.settings", { "aria-label": "Settings" }, h("h2", null, "Settings"),
+    h("div.grid-2", null,
+      part(`Problem ${body.problem.id}`, problem, body.problem.params),
+      part(`Algorithm ${body.algorithm.id}`, algorithm, body.algorithm.params)),
+    part("Campaign", null, {
+      simulations: body.budget.simulations, seed: body.seed, priority: body.priority, repeats: body.repeats, ...body.execution,
+      ...(body.llm ? { language_model: body.llm } : {}),
+    }));
 }
 
 function part(title, plugin, params) {

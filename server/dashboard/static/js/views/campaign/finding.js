@@ -2,14 +2,17 @@
 
 import { isOpen } from "../../api.js";
 import { attribute, h, keyed, replace, text } from "../../dom.js";
-import { capital, count, percent, rate, span } from "../../format.js";
+import { capital, count, percent, plural, rate, span } from "../../format.js";
 import { loadOnNews } from "../../polling.js";
 import { link } from "../../router.js";
-import { command, facts, meter } from "../../parts/elements.js";
+import { callout, command, facts, meter } from "../../parts/elements.js";
 import { follower } from "../pair/follow_ups.js";
 import { OPENING } from "./pictures.js";
 
 const FOLLOW_MS = 3_000;
+
+/** Steps that are shown at once; further ones are folded. */
+const STEPS = 3;
 
 /**
  * Return the cards in one element.
@@ -18,52 +21,78 @@ const FOLLOW_MS = 3_000;
  * @param {string} id Id of the campaign.
  * @param {(read: object) => void} found Called with each finding.
  * @param {() => void} changed Called when a step has been taken.
- * @returns {HTMLElement} With ``news(progress)``.
+ * @returns {HTMLElement} With ``news(progress)``, ``read`` (the last finding), ``hasPictures``, and ``place`` beside the next steps.
  */
 export function finding(context, id, found, changed) {
-  const words = h("p.lead", { "aria-live": "polite" }, "Loading what was found so far…");
+  const words = h("p.lead", { "aria-live": "polite" });
+  const limits = h("div");
   const of = h("p", { hidden: true });
-  const more = h("div.more");
+  const told = h("div");
+  const more = h("details.more", { hidden: true }, h("summary", null, "Details and limits"), told);
   const bar = meter("Simulations done");
   const figures = facts();
-  const card = h("section.card.finding", { "aria-label": "Finding" }, words, of, bar, figures, more);
-  const pictures = Object.entries(OPENING).map(([kind, make]) => ({ kind, card: make(context, id) }));
+  const card = h("section.card.finding", { "aria-label": "Finding" }, words, limits, of, bar, figures, more);
+  const place = h("div.stack.pictures");
   const next = nextSteps(context, () => {
-    load(`${told} ${performance.now()}`, { atOnce: true });
+    load(`${known} ${performance.now()}`, { atOnce: true });
     changed();
   });
-  const node = h("div.stack", null, card, h("div.opening", null, h("div.stack.pictures", null, pictures.map((one) => one.card)), next));
-  let told = "";
-  let read = null;
+  const node = h("div.stack", null, card, h("div.opening", null, place, next));
+  let known = "";
   let progress = null;
   let later = null;
+  const undrawn = new Set(); // kinds of which there are no pictures
+  let pictures = null; // of the first kind that has any
+  node.read = null;
+  node.place = place;
+  node.hasPictures = false;
 
   const load = loadOnNews(async () => {
-    read = await context.get(`campaigns/${id}/findings`);
-    text(words, read.words);
-    replace(more, read.more.map((one) => h("p", null, one)));
+    const read = node.read = await context.get(`campaigns/${id}/findings`);
+    text(words, read.headline);
+    keyed(limits, read.warnings, (one) => one, (one) => callout("warn", one));
+    replace(told, read.more.map((one) => h("p", null, one)));
+    more.hidden = read.more.length === 0;
     of.hidden = read.of === null;
     if (read.of) replace(of, "It follows up ", h("a", { href: link("campaigns", read.of.campaign) }, read.of.name), ".");
-    for (const { kind, card: made } of pictures) {
-      const { view } = read.findings.find((one) => one.kind === kind) ?? {};
-      if (read.complete && view) made.update(view); // findings change while it runs, and the workers have better things to do
-    }
+    if (read.complete) drawPictures(read.findings); // findings change while it runs, and the workers have better things to do
     next.update(read.steps);
     draw();
     found(read);
     clearTimeout(later);
     // Follow-ups are campaigns of their own: progress of this one does not announce their news.
-    if (read.steps.some((step) => step.follow_up)) later = setTimeout(() => load(`${told} ${performance.now()}`), FOLLOW_MS);
+    if (read.steps.some((step) => step.follow_up)) later = setTimeout(() => load(`${known} ${performance.now()}`), FOLLOW_MS);
   }, { signal: context.signal, refuse: context.complain, leastMs: 2_000 });
   context.signal.addEventListener("abort", () => clearTimeout(later), { once: true });
+
+  /** Show something else than pictures of which none can be drawn. */
+  function drawOthers(kind) {
+    if (context.signal.aborted) return;
+    undrawn.add(kind);
+    drawPictures(node.read.findings);
+    found(node.read);
+  }
+
+  function drawPictures(findings) {
+    const viewOf = (kind) => findings.find((one) => one.kind === kind)?.view;
+    const kind = Object.keys(OPENING).find((one) => viewOf(one) && !undrawn.has(one) && OPENING[one].has(viewOf(one)));
+    if (kind !== pictures?.kind) {
+      pictures?.card.remove();
+      pictures = kind ? { kind, card: OPENING[kind].card(context, id, () => drawOthers(kind)) } : null;
+      if (pictures) place.prepend(pictures.card);
+    }
+    pictures?.card.update(viewOf(kind));
+    node.hasPictures = pictures !== null;
+  }
 
   function draw() {
     if (!progress) return;
     const ended = !isOpen(progress.status);
-    const numbers = read?.findings.filter((one) => one.role === "sought" || (one.role === "met" && !one.is_empty)).flatMap((one) => one.figures) ?? [];
+    const numbers = node.read?.findings.filter((one) => one.role === "sought" || (one.role === "met" && !one.is_empty)).flatMap((one) => one.figures) ?? [];
     const evaluated = progress.evaluated + progress.reported;
     const unsafe = progress.unsafe + progress.reported_unsafe;
     const failed = progress.failed + progress.reported_failed;
+    bar.hidden = ended;
     bar.update(progress.simulations / progress.budget, ended);
     figures.update({
       ...Object.fromEntries(numbers.map(({ term, words: name }) => [capital(name), term])),
@@ -82,21 +111,26 @@ export function finding(context, id, found, changed) {
     progress = now;
     draw();
     const news = `${now.sequence} ${now.evaluated ? "" : now.reported} ${isOpen(now.status)}`;
-    if (news !== told) load(told = news);
+    if (news !== known) load(known = news);
   };
   return node;
 }
 
 /** Return the card of what to do next; ``update`` takes the steps. */
 function nextSteps(context, taken) {
-  const list = h("ul.steps");
-  const card = h("section.card.next", { "aria-label": "What to do next", hidden: true }, h("h2", null, "What to do next"), list);
+  const first = h("ul.steps");
+  const rest = h("ul.steps");
+  const more = h("summary");
+  const folded = h("details", null, more, rest);
+  const card = h("section.card.next", { "aria-label": "What to do next", hidden: true }, h("h2", null, "What to do next"), first, folded);
 
   function stepOf(first) {
     const words = h("p");
     const action = h("div");
     const running = h("div");
-    const node = h("li", null, h("h3", null, first.question), words, action, running, first.command && command(first.command));
+    const shell = first.command && command(first.command);
+    const node = h("li", null, h("h3", null, first.question), words, action, running,
+      shell && (actionOf(first) ? h("details", null, h("summary.small", null, "Command"), shell) : shell));
     node.update = (step) => {
       text(words, step.words);
       if (!step.follow_up && !action.firstChild) replace(action, actionOf(step));
@@ -121,7 +155,9 @@ function nextSteps(context, taken) {
 
   card.update = (steps) => {
     card.hidden = steps.length === 0;
-    keyed(list, steps, (step) => step.kind + step.question, stepOf);
+    for (const [list, some] of [[first, steps.slice(0, STEPS)], [rest, steps.slice(STEPS)]]) keyed(list, some, (step) => step.kind + step.question, stepOf);
+    folded.hidden = steps.length <= STEPS;
+    text(more, plural(steps.length - STEPS, "more step"));
   };
   return card;
 }

@@ -27,7 +27,7 @@ export function kindCards(context, id, settings, shown) {
 
   node.update = (next) => {
     read = next;
-    const told = new Set([next.words, ...next.more]);
+    const told = new Set([next.words, next.headline, ...next.more]);
     const listed = next.findings.filter((one) => !one.is_empty || one.page || isAsked(one.kind));
     keyed(node, listed.map((finding) => ({ finding, told })), ({ finding }) => finding.kind,
       ({ finding }) => kindCard(context, id, finding, { told, asked: () => asked(finding.kind), shown }));

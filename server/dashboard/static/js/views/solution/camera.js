@@ -3,14 +3,12 @@
 import { ApiError, request } from "../../api.js";
 import { h, text } from "../../dom.js";
 import { canvas } from "../../parts/charts.js";
-import { key, labelBox, palette } from "./drawing.js";
+import { key, palette, writeLabels } from "./drawing.js";
 import { eachRow, rowCount } from "./episode.js";
 
 const PERSON = 1;
 const FAR_PX = 4000;
 /** Points are drawn at most this far outside the picture. */
-const [NAME_PX, SCORE_PX, LINE_PX] = [80, 34, 16];
-/** Room for a name with its score, for a score, and for a line of either. */
 const PICTURES_KEPT = 60;
 const PICTURES_AHEAD = 12;
 const REQUESTS_AT_ONCE = 4;
@@ -130,16 +128,9 @@ class FilmPainter {
     });
     pen.setLineDash([]);
     names.sort((a, b) => b.person - a.person || b.score - a.score);
-    const placed = [];
-    for (const { person, score, at } of names) {
-      const [left, top] = at;
-      const wide = person ? NAME_PX : SCORE_PX;
-      // Two names in one place are illegible: people and high scores come first.
-      if (placed.some((other) => left < other.left + other.wide && other.left < left + wide && Math.abs(top - other.top) < LINE_PX)) continue;
-      placed.push({ left, top, wide });
-      const name = person ? `${episode.byLabel("labels", PERSON)} ` : "";
-      labelBox(pen, `${name}${score.toFixed(2)}`, at, width, film.colours.found, colours.pictureShade);
-    }
+    writeLabels(pen, names.map(({ person, score, at }) => ({
+      words: `${person ? `${episode.byLabel("labels", PERSON)} ` : ""}${score.toFixed(2)}`, fill: film.colours.found, box: at,
+    })), width, height, colours.pictureShade);
   }
 }
 
@@ -347,6 +338,7 @@ class SketchPainter {
 
   #drawReported(pen, given, sample) {
     const { colours, episode, size } = this;
+    const labels = [];
     eachRow(given, sample, (row, columns) => {
       const box = this.#box(row, columns);
       pen.strokeStyle = colours.injected;
@@ -354,8 +346,10 @@ class SketchPainter {
       pen.setLineDash([7, 4]);
       pen.strokeRect(...box);
       pen.setLineDash([]);
-      labelBox(pen, episode.byLabel("labels", columns.label[row]), box, size.width, colours.injected, colours.paper);
+      labels.push({ words: episode.byLabel("labels", columns.label[row]), fill: colours.injected, box });
     });
+    labels.sort((a, b) => b.box[1] + b.box[3] - a.box[1] - a.box[3]); // the nearest first
+    writeLabels(pen, labels, size.width, size.height, colours.paper);
   }
 
   /** Return left, top, width and height of an image box in px of the picture, inside it. */

@@ -41,14 +41,50 @@ export function writeHaloed(pen, word, x, y, fill, halo) {
   pen.fillText(word, x, y);
 }
 
-/** Write a word above a box, inside a picture of some width. */
-export function labelBox(pen, word, [left, top, , high], width, fill, halo) {
+const LINE_PX = 15;
+const EDGE_PX = 3;
+
+/**
+ * @typedef {object} Label
+ * @property {string} words
+ * @property {string} fill
+ * @property {number[]} box What it names: left, top, width and height in px.
+ */
+
+/**
+ * Return where labels are written, most important first: close to what they name, inside the picture, none over another.
+ * A label without such a place is left out, as is that of a box outside the picture.
+ *
+ * @param {Label[]} labels The most important first.
+ * @param {number} width Of the picture in px.
+ * @param {number} height
+ * @param {(words: string) => number} measure Returns the width of words in px.
+ * @returns {(Label & {left: number, bottom: number, wide: number})[]}
+ */
+export function labelPlaces(labels, width, height, measure) {
+  const placed = [];
+  for (const label of labels) {
+    const [left, top, across, high] = label.box;
+    if (left > width || top > height || left + across < 0 || top + high < 0) continue;
+    const wide = measure(label.words);
+    const at = Math.max(EDGE_PX, Math.min(left + across / 2 - wide / 2, width - wide - EDGE_PX));
+    if (wide + 2 * EDGE_PX > width) continue;
+    const free = (bottom) => bottom - LINE_PX >= 0 && bottom <= height
+      && placed.every((other) => at >= other.left + other.wide + EDGE_PX || other.left >= at + wide + EDGE_PX || Math.abs(other.bottom - bottom) >= LINE_PX);
+    const bottom = [top - 2, top + high + LINE_PX + 1, top - 2 - LINE_PX, top + high + 2 * LINE_PX + 1].find(free);
+    if (bottom !== undefined) placed.push({ ...label, left: at, bottom, wide });
+  }
+  return placed;
+}
+
+/** Write labels, the most important first, beside what they name in a picture of some size; see `labelPlaces`. */
+export function writeLabels(pen, labels, width, height, halo) {
   pen.font = BOLD;
   pen.textAlign = "left";
   pen.textBaseline = "bottom";
-  const wide = pen.measureText(word).width;
-  const x = Math.max(3, Math.min(left + 2, width - wide - 3));
-  writeHaloed(pen, word, x, top > 17 ? top - 2 : Math.max(15, top + high + 15), fill, halo);
+  for (const { words, fill, left, bottom } of labelPlaces(labels, width, height, (words) => pen.measureText(words).width)) {
+    writeHaloed(pen, words, left, bottom, fill, halo);
+  }
 }
 
 /** Draw a straight line. */

@@ -3,7 +3,7 @@
 import { h } from "../../dom.js";
 import { canvas } from "../../parts/charts.js";
 import { colour } from "../../theme.js";
-import { BOLD, FONT, key, palette, tracePath, writeHaloed } from "./drawing.js";
+import { FONT, key, palette, tracePath, writeLabels } from "./drawing.js";
 import { eachRow } from "./episode.js";
 
 const ACROSS_M = 84;
@@ -14,7 +14,6 @@ const TRAIL_SAMPLES = 1200;
 const LEAST_PERSON_PX = 3.5;
 const HIDDEN_ALPHA = 0.35;
 /** Opacity of road users that are hidden from the camera. */
-const LABEL_LINE_PX = 15;
 const SAME_PLACE_M = 0.3;
 
 /**
@@ -92,7 +91,7 @@ export function map(player, second = null) {
     if (ego) drawEgo(pen, ego, at, metresPerPx);
     if (second) drawTwin(pen, ego, metresPerPx, labels);
     pen.setTransform(scale, 0, 0, scale, 0, 0);
-    write(pen, labels, toPx, width);
+    write(pen, labels, ego, { toPx, pxPerM, width, height });
     drawScaleBar(pen, pxPerM, width, height);
   }
 
@@ -164,23 +163,14 @@ export function map(player, second = null) {
     });
   }
 
-  function write(pen, labels, toPx, width) {
-    pen.font = BOLD;
-    pen.textAlign = "center";
-    pen.textBaseline = "bottom";
-    const placed = [];
-    for (const { x, y, above_m, words, fill } of labels) {
-      const half = pen.measureText(words).width / 2;
-      let [left, top] = toPx(x, y + above_m);
-      left = Math.min(Math.max(left, half + 4), width - half - 4);
-      top -= 4;
-      // Two labels in one place are illegible: move the later one up.
-      while (placed.some((other) => Math.abs(other.left - left) < half + other.half && Math.abs(other.top - top) < LABEL_LINE_PX)) {
-        top -= LABEL_LINE_PX;
-      }
-      placed.push({ left, top, half });
-      writeHaloed(pen, words, left, top, fill, colours.paper);
-    }
+  /** Write the labels of what is near the ego first: they matter most, and the others make way. */
+  function write(pen, labels, ego, { toPx, pxPerM, width, height }) {
+    const away = ({ x, y }) => (ego ? Math.hypot(x - ego.x, y - ego.y) : 0);
+    const near = labels.sort((a, b) => away(a) - away(b)).map(({ x, y, above_m, words, fill }) => {
+      const [middle, top] = toPx(x, y + above_m);
+      return { words, fill, box: [middle, top, 0, 2 * above_m * pxPerM] };
+    });
+    writeLabels(pen, near, width, height, colours.paper);
   }
 
   function drawScaleBar(pen, pxPerM, width, height) {

@@ -23,10 +23,11 @@ const MOST_EVENTS = 300;
  */
 export function loading(context, paths, take) {
   const words = h("div", { role: "status" });
-  const node = h("section.card", { "aria-label": "Replay" }, h("h2", null, "Replay"), words);
+  const node = h("section.card.waiting", { "aria-label": "Replay" }, h("h2", null, "Replay"), words);
   const say = (...what) => replace(words, what);
 
   async function load() {
+    node.classList.add("waiting");
     say(h("p", null, "Loading the episode …"));
     try {
       const data = await Promise.all([paths].flat().map((path) => whenMade(`${path}/episode`, { ...context.recording(`${path}/trace`), making })));
@@ -45,6 +46,7 @@ export function loading(context, paths, take) {
   }
 
   function fail(error) {
+    node.classList.remove("waiting");
     const retry = h("button", { type: "button", onclick: load }, "Try again");
     if (error.noWorker) {
       say(callout("warn", h("p", null, `The episode must be simulated again before it can be shown. ${sentence(error.message)}`),
