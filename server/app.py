@@ -199,6 +199,7 @@ def _routes() -> list[BaseRoute]:
         analysis.monitors_router,
         repeats.router,
         suites.router,
+        suites.runs_router,
         pairs.router,
         thresholds.router,
         pair_pictures.router,

@@ -18,10 +18,12 @@ from brink.search.analysis.avoidable import Avoidable
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.analysis.suite import SuiteVerdict
 from brink.search.wald import Decision
-from brink.server.api.schemas import Progress
+from brink.server.api.schemas import CampaignView, Progress
 from brink.server.errors import InvalidInput
+from brink.server.findings.finding import Finding
 from brink.server.findings.follow_ups import ShareView
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView
+from brink.server.findings.table import MOST_ROWS
 from brink.server.findings.thresholds.views import ThresholdsView
 from brink.server.findings.violations.views import Violations
 from brink.server.states import CampaignStatus
@@ -39,7 +41,8 @@ class Chosen:
     """Which drives of a campaign to take.
 
     Attributes:
-        pairs: ``confirmed`` or ``all`` pairs; empty for none.
+        pairs: ``confirmed`` or ``all`` pairs, or some as ``SAFE-UNSAFE,…`` by the numbers of their drives; empty for
+            none.
         violations: ``avoidable`` or ``all`` types of violations, one drive of each; empty for none.
         solutions: Solutions by number.
         thresholds: Whether to take the drives at both ends of every threshold.
@@ -117,7 +120,7 @@ async def find_entries(api: Api, campaign: str, chosen: Chosen) -> NewEntries:
     found: list[_Found] = []
     notes: list[str] = []
     if chosen.pairs:
-        found += await _pairs(api, campaign, notes, only_confirmed=chosen.pairs == "confirmed")
+        found += await _pairs(api, campaign, notes, chosen.pairs)
     if chosen.thresholds:
         found += await _thresholds(api, campaign, notes)
     if chosen.violations:
@@ -141,18 +144,29 @@ async def find_entries(api: Api, campaign: str, chosen: Chosen) -> NewEntries:
     return NewEntries(campaign=fetched.id, system=system_of(fetched.plan), entries=new, notes=notes)
 
 
-async def _pairs(api: Api, campaign: str, notes: list[str], *, only_confirmed: bool) -> list[_Found]:
+async def _pairs(api: Api, campaign: str, notes: list[str], wanted: str) -> list[_Found]:
     view = await api.read(PairsView, f"/campaigns/{campaign}/pairs", {"limit": MOST_PAIRS})
-    pairs = [
-        one for one in view.pairs if not only_confirmed or one.confirmation.state is Confirmation.CONFIRMED
-    ]
-    if len(pairs) < len(view.pairs):
-        notes.append(
-            f"{len(view.pairs) - len(pairs)} of {len(view.pairs)} pairs are not confirmed: brink pairs {campaign} "
-            "--confirm 30 tries to"
-        )
-    elif not pairs:
-        notes.append("there is no pair")
+    if wanted in ("confirmed", "all"):
+        pairs = [
+            one for one in view.pairs if wanted == "all" or one.confirmation.state is Confirmation.CONFIRMED
+        ]
+        if len(pairs) < len(view.pairs):
+            notes.append(
+                f"{len(view.pairs) - len(pairs)} of {len(view.pairs)} pairs are not confirmed: brink pairs "
+                f"{campaign} --confirm 30 tries to"
+            )
+        elif not pairs:
+            notes.append("there is no pair")
+    else:
+        by_numbers = {frozenset((one.safe.number, one.unsafe.number)): one for one in view.pairs}
+        pairs = []
+        for text in wanted.split(","):
+            pair = by_numbers.get(frozenset(map(int, text.split("-"))))
+            if pair is None:
+                raise InvalidInput.at(
+                    "--pairs", f"campaign {campaign} has no pair {text}: brink pairs {campaign} lists them"
+                )
+            pairs.append(pair)
     return [
         _Found(
             words=one.unsafe.outcome,
@@ -168,8 +182,9 @@ async def _pairs(api: Api, campaign: str, notes: list[str], *, only_confirmed: b
 
 
 async def _thresholds(api: Api, campaign: str, notes: list[str]) -> list[_Found]:
-    view = await api.read(ThresholdsView, f"/campaigns/{campaign}/thresholds")
-    ends = [(one, one.pair) for one in view.thresholds if one.pair is not None]
+    found = await api.read(Finding, f"/campaigns/{campaign}/findings/thresholds", {"rows": MOST_ROWS})
+    thresholds = ThresholdsView.model_validate(found.view).thresholds if found.view else []
+    ends = [(one, one.pair) for one in thresholds if one.pair is not None]
     if not ends:
         notes.append("there is no threshold with drives at both ends")
     return [
@@ -299,7 +314,7 @@ Follow = Callable[[str], Awaitable[object]]
 
 
 async def run_suite(
-    api: Api, runs: Sequence[SystemRun], follow: Follow, *, resume: bool = True
+    api: Api, runs: Sequence[SystemRun], follow: Follow, *, label: str = "", resume: bool = True
 ) -> tuple[list[CaseResult], bool]:
     """Simulate a suite and return the verdicts in the order of its systems, and whether all simulations have ended.
 
@@ -307,6 +322,7 @@ async def run_suite(
         api: The coordinator.
         runs: The campaigns, as `brink.server.suites.campaigns.prepare_runs` returned them.
         follow: Waits for a campaign.
+        label: What is tested, which the notes of the campaigns say; empty to say what is changed.
         resume: Whether to continue, or return, an earlier run of the same version.
     """
     cases: list[CaseResult] = []
@@ -315,15 +331,26 @@ async def run_suite(
         cases += [_refused(run, case, reason) for case, reason in run.refused]
         if run.body is None:
             continue
-        work = CampaignRun(run.body, pictures=False)
+        body = run.labelled(label)
+        work = CampaignRun(body, pictures=False)
         found = await work.latest(api, [*OPEN, CampaignStatus.FINISHED]) if resume else None
         campaign, _ = await resume_or_submit(work, api, found)
+        if found is not None:
+            await _note(api, campaign, body.notes)
         if found is None or found.status is not CampaignStatus.FINISHED:
             await follow(campaign)
         progress = await api.read(Progress, f"/campaigns/{campaign}/progress")
         complete &= progress.status is CampaignStatus.FINISHED
         cases += await campaign_cases(api, campaign, run)
     return cases, complete
+
+
+async def _note(api: Api, campaign: str, label: str) -> None:
+    """Add a label to the notes of a campaign that simulates a version under another name."""
+    before = (await api.read(CampaignView, f"/campaigns/{campaign}")).body.notes
+    if label not in before.splitlines():
+        notes = "\n".join(filter(None, [before, label]))
+        await api.send(CampaignView, f"/campaigns/{campaign}", {"notes": notes}, method="PATCH")
 
 
 async def campaign_cases(api: Api, campaign: str, run: SystemRun) -> list[CaseResult]:

@@ -5,6 +5,7 @@ Exit codes of `brink suite run`: 0 if every drive is as expected, 1 if one is no
 
 import asyncio
 import functools
+import re
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -61,6 +62,8 @@ from brink.user_file import read_text
 from brink.worker.printable import printable
 
 USAGE: Final = 2
+PAIRS: Final = ("confirmed", "all")
+PAIR: Final = re.compile(r"\d{1,9}-\d{1,9}")
 EXAMPLE: Final = "detector=onnx:new.onnx"
 MOST_PICTURES: Final = 20
 
@@ -88,13 +91,6 @@ def _usage(command: Callable[P, None]) -> Callable[P, None]:
     return run
 
 
-class PairsTaken(StrEnum):
-    """Which pairs of a campaign to take."""
-
-    CONFIRMED = "confirmed"
-    ALL = "all"
-
-
 class ViolationsTaken(StrEnum):
     """Which types of violations of a campaign to take."""
 
@@ -107,7 +103,12 @@ Campaigns = Annotated[
     list[str], typer.Argument(metavar="ID...", help="Campaigns to take drives from.", show_default=False)
 ]
 Pairs = Annotated[
-    PairsTaken | None, typer.Option(help="Take pairs: both drives of each.", show_default=False)
+    str | None,
+    typer.Option(
+        metavar="confirmed|all|N-N,...",
+        help="Take pairs, both drives of each: the confirmed ones, all, or some by the numbers of their drives.",
+        show_default=False,
+    ),
 ]
 Violated = Annotated[
     ViolationsTaken | None,
@@ -129,8 +130,12 @@ Named = Annotated[
 
 
 def _chosen(
-    pairs: PairsTaken | None, violations: ViolationsTaken | None, solutions: str | None, *, thresholds: bool
+    pairs: str | None, violations: ViolationsTaken | None, solutions: str | None, *, thresholds: bool
 ) -> Chosen:
+    if pairs not in (None, *PAIRS) and not all(map(PAIR.fullmatch, str(pairs).split(","))):
+        raise InvalidInput.at(
+            "--pairs", f"expected {' or '.join(PAIRS)}, or pairs such as 12-40,3-17; got {pairs!r}"
+        )
     numbers = []
     for one in filter(None, map(str.strip, (solutions or "").split(","))):
         if not one.isdecimal():
@@ -371,7 +376,7 @@ def run(
     screen = console(stderr=as_json)
     _notes(screen, runs)
     cases, complete, drawn = _simulate(
-        runs, screen, workers, database, server, resume=not new, pictures=pictures
+        runs, screen, workers, database, server, label=label, resume=not new, pictures=pictures
     )
     results = suite_results(
         file.stem,
@@ -422,6 +427,7 @@ def _simulate(
     database: str | None,
     server: str | None,
     *,
+    label: str,
     resume: bool,
     pictures: Path | None,
 ) -> tuple[list[CaseResult], bool, dict[str, str]]:
@@ -435,14 +441,14 @@ def _simulate(
                 return await session.follow_campaign(campaign)
 
             async with stopping(session.stop):
-                cases, complete = await run_suite(session.api, runs, with_workers, resume=resume)
+                cases, complete = await run_suite(session.api, runs, with_workers, label=label, resume=resume)
             return cases, complete, await _draw(session.api, cases, pictures, screen, elsewhere=False)
 
         return run_locally(settings_with(database=database, port=0), screen, work)
 
     async def ask(api: Api) -> tuple[list[CaseResult], bool, dict[str, str]]:
         cases, complete = await run_suite(
-            api, runs, lambda campaign: follow(api, campaign, Silent()), resume=resume
+            api, runs, lambda campaign: follow(api, campaign, Silent()), label=label, resume=resume
         )
         return cases, complete, await _draw(api, cases, pictures, screen, elsewhere=True)
 

@@ -101,7 +101,7 @@ class Suite:
                 with display_of(progress) as display:
                     return await session.follow(campaign, display, [f"/campaigns/{campaign}"])
 
-            cases, complete = await run_suite(session.api, runs, follow)
+            cases, complete = await run_suite(session.api, runs, follow, label=label)
         return suite_results(
             self.path.stem,
             runs,

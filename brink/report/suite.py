@@ -14,14 +14,6 @@ MOST_CASES: Final = 50
 """Most drives in a table of a pull request."""
 
 
-def case_words(case: CaseResult) -> str:
-    """Return what a run showed of a drive, such as ``broken: unsafe 4 of 4, expected safe``."""
-    shown = f"unsafe {case.simulated}" if case.simulated else ""
-    return f"{case.verdict.value}: " + ", ".join(
-        filter(None, (shown, f"expected {case.expect}", case.reason))
-    )
-
-
 def junit_xml(results: SuiteResults) -> str:
     """Return a run as JUnit XML: a test suite for each system, a test case for each drive.
 
@@ -58,7 +50,7 @@ def _add_case(suite: Xml.Element, case: CaseResult, name: str) -> str:
     element = Xml.SubElement(
         suite, "testcase", classname=_plain(f"{name}.{case.system}"), name=_plain(case.name), time="0"
     )
-    words = _plain(case_words(case))
+    words = _plain(case.shown)
     kind = ""
     if case.verdict in (SuiteVerdict.CANNOT_RUN, SuiteVerdict.OPEN):
         Xml.SubElement(element, "error", message=words, type=case.verdict.value)
@@ -121,6 +113,4 @@ def matrix_page(matrix: Matrix, suite: str) -> str:
         matrix: The matrix.
         suite: Name of the suite.
     """
-    return page_template("suite.html").render(
-        suite=suite, matrix=matrix, mark_of=mark_of, state_of=state_of, case_words=case_words
-    )
+    return page_template("suite.html").render(suite=suite, matrix=matrix, mark_of=mark_of, state_of=state_of)

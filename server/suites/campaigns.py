@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import ValidationError
+
 from brink.search.algorithms.suite import Suite as SuiteAlgorithm
 from brink.search.errors import SearchError
 from brink.search.space import FloatArray, SearchSpace
@@ -27,11 +29,13 @@ from brink.server.user_code import USER_CODE
 from brink.sim.catalogue import with_sources
 from brink.sim.errors import SimulatorError
 
+ALGORITHM: Final = PluginChoice(id=SuiteAlgorithm.id)
+"""The algorithm of every campaign of a suite, without its drives."""
 SEED: Final = 0
 """Seed of every campaign of a suite: the episode seeds of a drive follow from its entry."""
 DIGITS: Final = 16
 """Hexadecimal digits of the digest of an episode."""
-CLASHES: Final = (ServerError, SimulatorError, SearchError)
+CLASHES: Final = (ServerError, SimulatorError, SearchError, ValidationError)
 """Why a system cannot be made."""
 
 
@@ -85,6 +89,19 @@ class SystemRun:
     unaffected: tuple[str, ...] = ()
     words: Mapping[str, str] = field(default_factory=dict)
 
+    def labelled(self, label: str) -> CampaignBody:
+        """Return the campaign with notes that say what is tested.
+
+        Args:
+            label: What is tested; empty to say what is changed.
+
+        Raises:
+            ValueError: There is no campaign.
+        """
+        if self.body is None:
+            raise ValueError(f"none of the drives of {self.system} can be simulated")
+        return self.body.model_copy(update={"notes": label or self.version})
+
 
 def changed_params(params: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the parameters of a problem with changes; another driving system keeps no settings of the old one.
@@ -124,7 +141,13 @@ def _parameters(system: System) -> set[str]:
 
 
 def prepare_runs(
-    file: SuiteFile, changes: Mapping[str, Any], *, name: str, path: Path | None = None, here: bool = True
+    file: SuiteFile,
+    changes: Mapping[str, Any],
+    *,
+    name: str,
+    path: Path | None = None,
+    here: bool = True,
+    option: str = "--set",
 ) -> list[SystemRun]:
     """Return the campaigns that simulate a suite, in the order of its systems.
 
@@ -134,11 +157,12 @@ def prepare_runs(
         name: Name of the suite.
         path: Its file, for the lines of wrong values.
         here: Whether this machine simulates it, and so needs the extras.
+        option: What gave the changes, for errors.
 
     Raises:
         InvalidInput: No problem has a parameter that is to be changed.
     """
-    check_changes(file, changes)
+    check_changes(file, changes, option)
     cases = cases_of(file)
     runs = []
     for system_name, system in file.systems.items():
@@ -159,8 +183,7 @@ def _prepare(
     here: bool,
 ) -> SystemRun:
     applied = {key: value for key, value in changes.items() if key in _parameters(system)}
-    body = system_body(f"suite {suite}: {name}", system, applied)
-    version = ", ".join(f"{key}={value}" for key, value in applied.items()) or "nothing changed"
+    version = ", ".join(f"{key}={value}" for key, value in applied.items()) or "current version"
     prepared = partial(
         SystemRun,
         system=name,
@@ -168,6 +191,7 @@ def _prepare(
         unaffected=tuple(key for key in changes if key not in applied),
     )
     try:
+        body = system_body(f"suite {suite}: {name}", system, applied)
         plan = make_plan(body)
         problem = plan.problem
         if here:
@@ -202,7 +226,7 @@ def _prepare(
     }
     complete = body.model_copy(
         update={
-            "algorithm": PluginChoice(id=SuiteAlgorithm.id, params=params),
+            "algorithm": ALGORITHM.model_copy(update={"params": params}),
             "budget": Budget(simulations=most * len(kept)),
         }
     )
@@ -225,7 +249,7 @@ def system_body(name: str, system: System, changes: Mapping[str, Any]) -> Campai
     return CampaignBody(
         name=name[:200],
         problem=PluginChoice(id=system.problem, params=changed_params(system.params, changes)),
-        algorithm=PluginChoice(id=SuiteAlgorithm.id),
+        algorithm=ALGORITHM,
         budget=Budget(simulations=1),
         seed=SEED,
         ground_truth=system.ground_truth,

@@ -44,6 +44,14 @@ class CaseResult(Body):
         failed = f", {self.failed} failed" if self.failed else ""
         return f"{self.unsafe} of {self.evaluated}{failed}" if self.evaluated or self.failed else ""
 
+    @property
+    def shown(self) -> str:
+        """What the run showed of it, such as ``broken: unsafe 5 of 5, expected safe``."""
+        shown = f"unsafe {self.simulated}" if self.simulated else ""
+        return f"{self.verdict.value}: " + ", ".join(
+            filter(None, (shown, f"expected {self.expect}", self.reason))
+        )
+
     def against(self, before: "CaseResult | None") -> "CaseResult":
         """Return the result compared with that of an earlier run, if that had a clear one."""
         if before is None or before.decision not in (Decision.SAFE, Decision.UNSAFE):
@@ -138,6 +146,16 @@ def judged(
             )
         )
     return cases
+
+
+def version_label(notes: str, campaign: str) -> str:
+    """Return what a campaign tested: its notes, where each run of the version left its label.
+
+    Args:
+        notes: The notes.
+        campaign: Id of the campaign, if it has none.
+    """
+    return ", ".join(filter(None, map(str.strip, notes.splitlines()))) or f"campaign {campaign}"
 
 
 def _at(params: Mapping[str, Any], name: str, place: int) -> str:

@@ -95,7 +95,8 @@ class ViolationsKind(Kind):
                     question="Which violations are there?",
                     words="Lists all types of violations, and names them.",
                     command=f"brink violations {subject.campaign.id}",
-                )
+                ),
+                *_keep(subject, types),
             ],
         )
 
@@ -112,6 +113,12 @@ class ViolationsKind(Kind):
         if not any(kinds):
             return words
         return f"{kinds.count(Avoidable.CAREFUL) or 'none'} of {words} avoidable"
+
+
+def _keep(subject: Subject, types: Sequence[TypeView]) -> list[Step]:
+    if any(kind.avoidable is Avoidable.CAREFUL for kind in types):
+        return [subject.keep("--violations avoidable", "a drive of each type that a careful driver avoids")]
+    return [subject.keep("--violations all", "a drive of each type")] if types else []
 
 
 def _example(types: Sequence[TypeView]) -> str:
