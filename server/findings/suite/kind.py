@@ -48,7 +48,7 @@ class SuiteKind(Kind):
             figures=[Term(term=f"{passed:,} of {len(cases):,}", words="drives are as expected")],
             legend=LEGEND,
             tables=[cases_table(cases, subject.rows)],
-            steps=_watch(subject, cases),
+            steps=[*_watch(subject, cases), _compare(subject)],
         )
 
     def brief(self, listed: Listed) -> str:
@@ -71,6 +71,16 @@ def _watch(subject: Subject, cases: list[CaseResult]) -> list[Step]:
             command=f"brink replay {subject.campaign.id} {number} --out hazard.mp4",
         )
     ]
+
+
+def _compare(subject: Subject) -> Step:
+    return Step(
+        kind="versions",
+        question="Which version broke or fixed what?",
+        label="Compare versions",
+        words="Shows the drives by all versions that simulated this suite here.",
+        place=f"{subject.path}/versions",
+    )
 
 
 KIND = SuiteKind()

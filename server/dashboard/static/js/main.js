@@ -32,6 +32,7 @@ function viewOf(parts) {
   if (first === "campaigns" && part === "solutions" && /^\d+$/.test(number ?? "")) return import("./views/solution.js");
   if (first === "campaigns" && part === "pairs" && number === undefined) return import("./views/pairs.js");
   if (first === "campaigns" && part === "pairs" && /^\d+-\d+$/.test(number)) return import("./views/pair.js");
+  if (first === "campaigns" && part === "versions") return import("./views/versions.js");
   if (first === "new") return import("./views/new_campaign.js");
   if (first === "compare") return import("./views/compare.js");
   if (first === "experiments") return id ? import("./views/experiment.js") : import("./views/experiments.js");

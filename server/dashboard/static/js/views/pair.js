@@ -5,6 +5,7 @@ import { h, replace } from "../dom.js";
 import { capital } from "../format.js";
 import { link } from "../router.js";
 import { badge, requirementBadge } from "../parts/elements.js";
+import { addToSuite } from "../parts/suite.js";
 import { askedFor, pairLink, pairsPath } from "./pairs.js";
 import { differingSpans, overTime } from "./pair/chart.js";
 import { differences, said } from "./pair/words.js";
@@ -39,7 +40,8 @@ export async function show(main, context, { parts, query }) {
     h("div.head", null, h("h1", null, `Pair ${pair.place}`), known,
       h("nav.actions.push", { "aria-label": "Pairs" },
         at > 0 && h("a.button", { href: pairLink(id, read.pairs[at - 1], asked) }, "Previous"),
-        at + 1 < read.pairs.length && h("a.button", { href: pairLink(id, read.pairs[at + 1], asked) }, "Next"))),
+        at + 1 < read.pairs.length && h("a.button", { href: pairLink(id, read.pairs[at + 1], asked) }, "Next"),
+        addToSuite(id, `--pairs ${parts[3]}`, "both drives of the pair"))),
     h("div.stack", null,
       change, sides, place,
       h("section.card", { "aria-label": "Differences" }, h("h2", null, "Differences"), differences(pair))));

@@ -5,6 +5,7 @@ import { h, replace, text } from "../dom.js";
 import { figure } from "../format.js";
 import { link, rewrite } from "../router.js";
 import { badge } from "../parts/elements.js";
+import { addToSuite } from "../parts/suite.js";
 import { tableOf } from "../parts/tables.js";
 import { followUps } from "./pair/follow_ups.js";
 import { said } from "./pair/words.js";
@@ -51,7 +52,7 @@ export async function show(main, context, { parts, query }) {
   const fields = ["eps", "d_th"].map((name) => h("input", { id: `pairs-${name}`, name, type: "number", min: 0, max: 1, step: "any", value: asked[name] ?? "", onchange: choose }));
   replace(main,
     h("p.crumb", null, h("a", { href: link("campaigns") }, "Campaigns"), " / ", h("a", { href: link("campaigns", id) }, name)),
-    h("div.head", null, h("h1", null, "Pairs"), state),
+    h("div.head", null, h("h1", null, "Pairs"), state, h("div.actions.push", null, addToSuite(id, "--pairs confirmed", "both drives of each confirmed pair"))),
     h("div.stack", null, h("section.card", { "aria-label": "Pairs" },
       h("div.inline", null, h("label", { title: "Largest distance between the sides of a pair" }, "eps ", fields[0]),
         h("label", { title: "Smallest distance between two pairs" }, "d_th ", fields[1])),

@@ -5,6 +5,7 @@ import { h, replace } from "../dom.js";
 import { count, figure, plainId, spaced } from "../format.js";
 import { link } from "../router.js";
 import { facts, outcomeBadge } from "../parts/elements.js";
+import { addToSuite } from "../parts/suite.js";
 import { judgedBy, neighbourhood, parameters, repeats, verdicts, withUnit } from "./solution/cards.js";
 import { downloads, loading, replay } from "./solution/replay.js";
 
@@ -96,7 +97,8 @@ function head({ campaign, solution, judged, verdict, next }) {
       h("nav.actions.push", { "aria-label": "Solutions" },
         number > 0 && h("a.button", { href: link("campaigns", id, "solutions", number - 1) }, "Previous"),
         next !== undefined && h("a.button", { href: link("campaigns", id, "solutions", next) }, "Next"),
-        h("a.button", { href: link("campaigns", id, { tab: "map", solution: number }) }, "Open on the map"))),
+        h("a.button", { href: link("campaigns", id, { tab: "map", solution: number }) }, "Open on the map"),
+        isEvaluated(solution) && addToSuite(id, `--solutions ${number}`, "this drive"))),
   ];
 }
 
