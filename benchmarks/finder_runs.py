@@ -23,6 +23,7 @@ from brink.search.algorithm import AnyAlgorithm, Candidate, Evaluation, Failed, 
 from brink.search.algorithms.sharpen import Sharpen, SharpenConfig, moved_units
 from brink.search.analysis.pairs import FoundPairs, find_pairs
 from brink.search.archive import Archive, Neighbourhood
+from brink.search.conclusions import Outcome
 from brink.search.metric import Metric
 from brink.search.pairs import Steps, midpoints
 from brink.search.parameters import Number
@@ -30,7 +31,7 @@ from brink.search.sequential import Verdict, verdict_of
 from brink.search.space import FloatArray, SearchSpace
 from brink.search.streams import Stream, episode_seed, generator
 from brink.search.surrogate import is_available
-from brink.search.thresholds import MOST, Outcome
+from brink.search.thresholds import MOST
 from brink.search.thresholds.line import valid_change
 from brink.server.campaigns.body import Budget, CampaignBody, PluginChoice
 from brink.server.campaigns.outcomes import outcome_of

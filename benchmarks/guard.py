@@ -21,10 +21,11 @@ import numpy as np
 
 from benchmarks.measurement import Progress, Row, at_least, at_most, silent, untargeted
 from benchmarks.trials import code_fingerprint
+from brink.guard.choices import FALSE_ALARMS, Sensor
 from brink.guard.drives import Drive, Recorders, load_drives, random_specs, save_drives
-from brink.guard.evaluation import FALSE_ALARMS, LEAD_S, GuardEvaluation, evaluate
+from brink.guard.evaluation import LEAD_S, GuardEvaluation, evaluate
 from brink.guard.fitting import fit
-from brink.guard.model import GuardModel, Sensor
+from brink.guard.model import GuardModel
 from brink.guard.monitor import ModelGuard
 from brink.search.algorithm import Scored, ask_all
 from brink.search.streams import episode_seed

@@ -16,7 +16,8 @@ import numpy as np
 
 from benchmarks.measurement import Progress, Row, at_least, at_most, silent
 from benchmarks.trials import Records, code_fingerprint
-from brink.search.analysis.monitor import Answer, Model, Monitor
+from brink.search.analysis.choices import Model
+from brink.search.analysis.monitor import Answer, Monitor
 from brink.search.analysis.monitor_evaluation import (
     ClassificationMetrics,
     MonitorEvaluation,

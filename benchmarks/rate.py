@@ -16,8 +16,9 @@ from benchmarks.measurement import Progress
 from brink.search.algorithm import Candidate, Draws, Evaluation, Scored
 from brink.search.algorithms.rate import Rate, RateConfig
 from brink.search.analysis.rate import rate_of
+from brink.search.conclusions import Decision
 from brink.search.document import Document
-from brink.search.rates import Decision, Wealth, betting_interval
+from brink.search.rates import Wealth, betting_interval
 from brink.search.sequential import exact_interval
 from brink.search.space import Component, FloatArray, Real, SearchSpace
 from brink.search.streams import generator

@@ -23,12 +23,12 @@ theorem 2 for empirical Bernstein); Fay and Feuer 1997 (weighted counts); Cloppe
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.search.conclusions import Decision
 from brink.search.errors import DocumentError
 from brink.search.sequential import exact_interval
 from brink.search.space import FloatArray, IntArray
@@ -46,14 +46,6 @@ _SPLIT: Final = {
 """How bettors divide their wealth. To stake nearly all pays where nothing is unsafe; large stakes on a higher rate
 pay where a mean is several times too small."""
 _HALVINGS: Final = 48
-
-
-class Decision(StrEnum):
-    """What simulations say of a claim that a rate is at most some limit."""
-
-    SHOWN = "shown"
-    REFUTED = "refuted"
-    NOT_SHOWN = "not shown"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,6 +13,9 @@ class CampaignStatus(StrEnum):
     FAILED = "failed"
 
 
+ENDED = (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED)
+
+
 class JobStatus(StrEnum):
     """The status of a job. `queued` and `leased` jobs are open; the other states are final."""
 
@@ -90,3 +93,13 @@ class OutcomeKind(StrEnum):
     """None of those that decide the verdict, but another one."""
     VIOLATED = "violated"
     """One of those that decide the verdict."""
+
+
+class CheckResult(StrEnum):
+    """Whether a detector meets a requirement."""
+
+    MET = "met"
+    NOT_MET = "not met"
+    TOO_LITTLE = "not enough data"
+    NO_DATA = "no data"
+    """No informative drive: the target was never in sight, or errors of the type are not measured."""

@@ -8,7 +8,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from benchmarks.coverage.study import Claim, Study
-from brink.guard.evaluation import FALSE_ALARMS, FOLDS, LEADS_S, JudgedDrives
+from brink.guard.choices import FALSE_ALARMS
+from brink.guard.evaluation import FOLDS, LEADS_S, JudgedDrives
 from brink.search.analysis.folds import divisions, numbered
 from brink.search.analysis.guard_drives import Estimate, GuardedDrives, guard_worth
 from brink.search.analysis.intervals import CONFIDENCE

@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 
 from benchmarks.coverage.study import Claim, Study
-from brink.search.analysis.monitor import Model, Monitor
+from brink.search.analysis.choices import Model
+from brink.search.analysis.monitor import Monitor
 from brink.search.space import BoolArray, Component, FloatArray, Real, SearchSpace
 
 SPACE: Final = SearchSpace((Component("plane", (Real("x", 0.0, 1.0), Real("y", 0.0, 1.0))),))

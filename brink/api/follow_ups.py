@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from brink.api.client import Api
-from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED
+from brink.server.campaigns.follow_ups.limits import MOST_PAIRS_FOLLOWED
 from brink.server.findings.boundary.repeat_views import RepeatsView
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.states import CampaignStatus, FollowUpKind

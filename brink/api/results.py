@@ -12,8 +12,7 @@ from brink.api.client import Api, CoordinatorError, Missing
 from brink.search.archive import ARRAYS, Archive
 from brink.search.errors import TooManyPairs
 from brink.search.space import BoolArray, IntArray
-from brink.server.api.outcomes import OutcomesView
-from brink.server.api.schemas import CampaignView
+from brink.server.api.schemas import CampaignView, OutcomesView
 from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.outcomes import deciding_requirements
 from brink.server.campaigns.plan import Plan, make_plan

@@ -1,7 +1,7 @@
 """`brink compare`: thresholds, pairs and DBS of campaigns side by side, the last with their controls."""
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Final, TypeAlias
 
 import typer
 from rich.console import Console
@@ -9,7 +9,6 @@ from rich.table import Table
 
 from brink.api.client import Api
 from brink.api.live import failures_of
-from brink.api.results import FetchedArchive, fetch_archive, read_all_pairs
 from brink.cli.campaigns import ALL_GENERATIONS
 from brink.cli.options import (
     AsJson,
@@ -23,13 +22,10 @@ from brink.cli.options import (
     program,
     with_api,
 )
-from brink.report.comparison import compared_archives, simulator_words
-from brink.search.analysis.comparison import Row, control_summaries
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.analysis.paper import D_THS, PAPER_D_THS, PAPER_T_BS
-from brink.search.analysis.scores import DRAWS
+from brink.search.conclusions import Outcome
 from brink.search.errors import TooManyPairs
-from brink.search.thresholds import Outcome
 from brink.server.api.schemas import Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.errors import InvalidInput
@@ -37,6 +33,9 @@ from brink.server.findings.finding import Finding
 from brink.server.findings.pairs.views import PairsView
 from brink.server.findings.table import MOST_ROWS
 from brink.server.findings.thresholds.views import ThresholdsView
+
+if TYPE_CHECKING:
+    from brink.search.analysis.comparison import Row
 
 Pairs: TypeAlias = Mapping[str, PairsView | TooManyPairs]
 """The pairs of each campaign."""
@@ -76,6 +75,9 @@ def compare(
 
     Example: brink compare 3f2a 91bc --d-th 0.2 --d-th 0.5
     """
+    from brink.api.results import FetchedArchive, fetch_archive, read_all_pairs
+    from brink.report.comparison import compared_archives, simulator_words
+
     for value in d_th or ():
         if value not in D_THS:
             raise InvalidInput.at("--d-th", f"expected one of {', '.join(map(str, D_THS))}, got {value:g}")
@@ -191,7 +193,7 @@ def _threshold_cells(thresholds: Thresholds) -> dict[str, tuple[str, ...]]:
     }
 
 
-def rows_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
+def rows_json(rows: "Sequence[Row]") -> list[dict[str, Any]]:
     """Return a comparison as a JSON document."""
     return [
         {
@@ -210,8 +212,11 @@ def rows_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
     ]
 
 
-def print_rows(screen: Console, rows: Sequence[Row], d_ths: Sequence[float] = PAPER_D_THS) -> None:
+def print_rows(screen: Console, rows: "Sequence[Row]", d_ths: Sequence[float] = PAPER_D_THS) -> None:
     """Print a comparison, with one table for each d_th, all of them in `D_THS`."""
+    from brink.search.analysis.comparison import control_summaries
+    from brink.search.analysis.scores import DRAWS
+
     for d_th in d_ths:
         column = D_THS.index(d_th)
         columns = ("unsafe", *(f"t_b {t_b:g}" for t_b in PAPER_T_BS))

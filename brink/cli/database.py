@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
@@ -29,21 +29,14 @@ from brink.cli.options import (
     program,
     settings_with,
 )
-from brink.server.access.authentication import TOKEN_CACHE_S
-from brink.server.access.tokens import create_token, list_tokens, revoke_token
-from brink.server.campaigns.deletion import erase_all
-from brink.server.campaigns.store import CAMPAIGNS
-from brink.server.db.engine import Engines, open_engines
-from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import DatabaseError, InvalidInput
-from brink.server.operations.doctor import State, examine
-from brink.server.operations.export_file import open_export
-from brink.server.operations.prune import Pruned, prune
-from brink.server.operations.transfer import export_campaign, import_campaign
-from brink.server.runtime.database import check_database, check_exists, prepare_database, shown_url
 from brink.server.seeding import seeder
-from brink.server.settings import Settings
 from brink.server.states import CampaignStatus, Scope
+
+if TYPE_CHECKING:
+    from brink.server.db.engine import Engines
+    from brink.server.operations.prune import Pruned
+    from brink.server.settings import Settings
 
 db = typer.Typer(help="Upgrade or prune the database, or show its schema version.", no_args_is_help=True)
 token = typer.Typer(
@@ -51,13 +44,16 @@ token = typer.Typer(
     no_args_is_help=True,
 )
 
-_COLOURS = {State.FINE: "green", State.LOOK: "yellow", State.WRONG: "red"}
-
 
 @contextmanager
-def _opened(settings: Settings, prepare: Callable[[Settings], object] = check_database) -> Iterator[Engines]:
-    """Yield a database after it was checked, created or upgraded."""
-    prepare(settings)
+def _opened(
+    settings: "Settings", prepare: "Callable[[Settings], object] | None" = None
+) -> "Iterator[Engines]":
+    """Yield a database after it was checked, or prepared in another way, such as created or upgraded."""
+    from brink.server.db.engine import open_engines
+    from brink.server.runtime.database import check_database
+
+    (prepare or check_database)(settings)
     engines = open_engines(settings.database)
     try:
         yield engines
@@ -87,6 +83,9 @@ def doctor(
 
     Example: brink doctor --thorough
     """
+    from brink.server.operations.doctor import State, examine
+    from brink.server.runtime.database import check_exists
+
     settings = settings_with(database=database)
     with _opened(settings, check_exists) as engines:
         found = list(examine(settings, engines, thorough=thorough, restored=restored))
@@ -94,9 +93,10 @@ def doctor(
         print_json([fields(one, "check", "state", "found", "advice") for one in found])
     else:
         table = Table(box=None, pad_edge=False, show_header=False)
+        colours = {State.FINE: "green", State.LOOK: "yellow", State.WRONG: "red"}
         for one in found:
             finding = Text.assemble(one.found, (f"\n{one.advice}" if one.advice else "", "dim"))
-            table.add_row(Text(one.state, _COLOURS[one.state]), one.check, finding)
+            table.add_row(Text(one.state, colours[one.state]), one.check, finding)
         console().print(table)
     raise typer.Exit(1 if any(one.state is State.WRONG for one in found) else 0)
 
@@ -113,6 +113,9 @@ def export(
 
     Example: brink export campaign 3f2a --out traffic.brink
     """
+    from brink.server.campaigns.store import CAMPAIGNS
+    from brink.server.operations.transfer import export_campaign
+
     with _opened(settings_with(database=database)) as engines, engines.reader.connect() as connection:
         found = CAMPAIGNS.get(connection, campaign)
         file = out or Path(f"{file_name(found.body.name)}-{found.id}.brink")
@@ -133,6 +136,11 @@ def import_(
 
     Example: brink import traffic.brink
     """
+    from brink.server.campaigns.store import CAMPAIGNS
+    from brink.server.operations.export_file import open_export
+    from brink.server.operations.transfer import import_campaign
+    from brink.server.runtime.database import prepare_database
+
     settings = settings_with(database=database)
     access = seeder().access(settings.llm_endpoints)
     with (
@@ -184,6 +192,9 @@ def prune_(
 
     Example: brink db prune --ended-days 90 --traces-days 14 --yes
     """
+    from brink.server.campaigns.deletion import erase_all
+    from brink.server.operations.prune import prune
+
     if ended_days is None and traces_days is None:
         raise InvalidInput.at(
             "--ended-days",
@@ -205,7 +216,7 @@ def prune_(
         _shrink(settings.sqlite_file)
 
 
-def _print_pruned(found: Pruned, *, deleted: bool, as_json: bool) -> None:
+def _print_pruned(found: "Pruned", *, deleted: bool, as_json: bool) -> None:
     if as_json:
         campaigns = [
             {
@@ -248,6 +259,8 @@ def db_upgrade(database: Database = None) -> None:
 
     Example: brink db upgrade --database sqlite:///brink.db
     """
+    from brink.server.runtime.database import prepare_database, shown_url
+
     settings = settings_with(database=database)
     before, after = prepare_database(settings)
     where = shown_url(settings)
@@ -263,6 +276,9 @@ def db_status(database: Database = None) -> None:
 
     Example: brink db status
     """
+    from brink.server.db.upgrade import current_revision, head_revision
+    from brink.server.runtime.database import check_exists
+
     settings = settings_with(database=database)
     path: Path | None = settings.sqlite_file
     revision = None
@@ -293,6 +309,10 @@ def create(
 
     Example: brink token create --scope worker "the cluster"
     """
+    from brink.server.access.authentication import TOKEN_CACHE_S
+    from brink.server.access.tokens import create_token
+    from brink.server.runtime.database import prepare_database, shown_url
+
     if not 1 <= len(name) <= 200 or not name.isprintable():
         raise typer.BadParameter("expected 1 to 200 printable characters", param_hint="NAME")
     settings = settings_with(database=database)
@@ -312,6 +332,8 @@ def list_(database: Database = None, as_json: AsJson = False) -> None:
 
     Example: brink token list
     """
+    from brink.server.access.tokens import list_tokens
+
     with _opened(settings_with(database=database)) as engines, engines.writer.begin() as connection:
         found = list_tokens(connection)
     if as_json:
@@ -347,6 +369,9 @@ def revoke(
 
     Example: brink token revoke 1f3a90bc
     """
+    from brink.server.access.authentication import TOKEN_CACHE_S
+    from brink.server.access.tokens import revoke_token
+
     with _opened(settings_with(database=database)) as engines, engines.writer.begin() as connection:
         revoke_token(connection, token_id)
     console().print(f"token {token_id} will be rejected within {TOKEN_CACHE_S:g} s")

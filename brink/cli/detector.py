@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from rich.console import Console
 from rich.text import Text
@@ -15,28 +15,17 @@ from rich.text import Text
 from brink.api.client import Api
 from brink.api.terminal import echo
 from brink.cli.options import check_out, console, plain_table, print_json, write_json
-from brink.cli.recording_options import GivenRecording, detection_scores
-from brink.recordings.measure import ObservedDrive, observe
-from brink.recordings.recording import Recording
-from brink.report.campaign import write_page
-from brink.report.detector import (
-    COLUMNS,
-    NUMBERS,
-    detector_csv,
-    detector_markdown,
-    detector_page,
-    evidence,
-    row_of,
-    small_print,
-    tally,
-)
-from brink.report.episode_strips import worst_strips
-from brink.server.api.tolerance import DetectorBody
-from brink.server.campaigns.detector_check import CheckResult
 from brink.server.csv_text import csv_text
 from brink.server.documents import parse_document
 from brink.server.errors import InvalidInput
 from brink.server.findings.tolerances.views import DetectorView
+from brink.server.states import CheckResult
+
+if TYPE_CHECKING:
+    from brink.cli.recording_options import GivenRecording
+    from brink.recordings.measure import ObservedDrive
+    from brink.recordings.recording import Recording
+    from brink.server.api.tolerance import DetectorBody
 
 MOST_THRESHOLDS: Final = 50
 AUTOMATIC: Final = "auto"
@@ -70,6 +59,8 @@ class Output:
 
     def write(self, text: str) -> None:
         """Write text that ends with a line feed to the file, or print it."""
+        from brink.report.campaign import write_page
+
         if self.out is None:
             echo(text, nl=False)
         else:
@@ -140,6 +131,8 @@ class EpisodesCheck:
 
     async def run(self, api: Api) -> bool:
         """Run the check, and print, write and draw the result; return whether no cell is *not met*."""
+        from brink.report.detector import detector_page
+
         view = await api.read(DetectorView, _path(self.campaign), {"episodes": self.episodes})
         about = [
             f"The drives are those of campaign {self.episodes}; watch one with: brink replay {self.episodes} DRIVE."
@@ -161,13 +154,16 @@ class RecordingCheck:
     """
 
     campaign: str
-    given: GivenRecording
+    given: "GivenRecording"
     thresholds: str | None
     images: Path | None
     output: Output
 
     async def run(self, api: Api) -> bool:
         """Run the check, and print, write and draw the result; return whether no cell is *not met*."""
+        from brink.report.detector import detector_page
+        from brink.report.episode_strips import worst_strips
+
         shows_many = (
             self.output.form in (Format.TABLE, Format.CSV, Format.JSON) and self.output.picture is None
         )
@@ -192,24 +188,30 @@ class RecordingCheck:
         )
         return _is_met(view)
 
-    async def _observe(self, recording: Recording, threshold: float) -> list[ObservedDrive]:
+    async def _observe(self, recording: "Recording", threshold: float) -> "list[ObservedDrive]":
+        from brink.recordings.measure import observe
+
         return await asyncio.to_thread(
             observe, recording, threshold=threshold, visibility=self.given.visibility
         )
 
-    async def _judge(self, api: Api, recording: Recording, observed: Iterable[ObservedDrive]) -> DetectorView:
+    async def _judge(
+        self, api: Api, recording: "Recording", observed: "Iterable[ObservedDrive]"
+    ) -> DetectorView:
         body = _body(recording.name, observed)
         return await api.send(DetectorView, _path(self.campaign), body.model_dump(mode="json"))
 
-    def _say(self, recording: Recording) -> list[str]:
+    def _say(self, recording: "Recording") -> list[str]:
         """Print the measurements to standard error, and return them."""
         about = self.given.words(recording)
         for words in about:
             echo(words, err=True)
         return about
 
-    async def _sweep(self, api: Api, recording: Recording, thresholds: str) -> None:
+    async def _sweep(self, api: Api, recording: "Recording", thresholds: str) -> None:
         """Compare thresholds."""
+        from brink.cli.recording_options import detection_scores
+
         views = {}
         for threshold in parse_thresholds(thresholds, detection_scores(recording)):
             views[threshold] = await self._judge(api, recording, await self._observe(recording, threshold))
@@ -234,15 +236,19 @@ def _path(campaign: str) -> str:
 
 
 def _is_met(view: DetectorView) -> bool:
+    from brink.report.detector import tally
+
     return tally(view)["not met"] == 0
 
 
-def _body(name: str, observed: Iterable[ObservedDrive]) -> DetectorBody:
+def _body(name: str, observed: "Iterable[ObservedDrive]") -> "DetectorBody":
     """Return the errors of a detector in its drives.
 
     Raises:
         InvalidInput: There are too many drives, or a name is too long.
     """
+    from brink.server.api.tolerance import DetectorBody
+
     drives = [
         {
             "name": one.measured.name,
@@ -270,6 +276,8 @@ async def _give(view: DetectorView, output: Output, about: Sequence[str], page: 
         about: What was measured, in sentences.
         page: Makes the page in HTML.
     """
+    from brink.report.detector import detector_csv, detector_markdown, evidence
+
     if output.picture is not None:
         await asyncio.to_thread(draw_detector, view, output.picture)
     match output.form:
@@ -307,6 +315,8 @@ _STYLES: Final = {
 
 def show_detector(screen: Console, view: DetectorView) -> None:
     """Print the verdict, a row for each cell with evidence, and what to record next."""
+    from brink.report.detector import COLUMNS, NUMBERS, evidence, row_of, small_print
+
     screen.print(f"{view.note}.", soft_wrap=True, style="bold")
     screen.print(view.meaning, soft_wrap=True, style="dim")
     cells = evidence(view)
@@ -354,6 +364,8 @@ def parse_thresholds(given: str, scores: Iterable[float]) -> list[float]:
 
 def show_sweep(screen: Console, views: Mapping[float, DetectorView]) -> None:
     """Print a row for each threshold, and the cells whose result depends on it."""
+    from brink.report.detector import tally
+
     table = plain_table(
         "threshold", "not met", "unknown", "met", right=("threshold", "not met", "unknown", "met")
     )

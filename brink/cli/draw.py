@@ -8,7 +8,6 @@ import typer
 
 from brink.api.client import Api
 from brink.api.live import Steps
-from brink.api.results import fetch_archive, fetch_requirements, trace_of
 from brink.api.terminal import echo
 from brink.cli.options import (
     RESULTS,
@@ -24,10 +23,7 @@ from brink.cli.options import (
     print_json,
     with_api,
 )
-from brink.pictures import render
-from brink.report.campaign import campaign_report, write_page
-from brink.report.figures import draw_figures, marked_pairs
-from brink.report.kind_pictures import MOST_PAIRS
+from brink.report.limits import MOST_PAIRS
 from brink.search.errors import TooManyPairs
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 
@@ -49,6 +45,8 @@ def plot(
 
     Example: brink plot 3f2a --out figures
     """
+    from brink.api.results import fetch_archive
+    from brink.report.figures import draw_figures, marked_pairs
 
     async def work(api: Api) -> list[Path]:
         fetched = await fetch_archive(api, campaign)
@@ -93,6 +91,9 @@ def replay(
 
     Example: brink replay 3f2a 17 --out replay.mp4
     """
+    from brink.api.results import fetch_requirements, trace_of
+    from brink.pictures import render
+
     check_out(out, ".png", ".gif", ".mp4")
 
     async def work(api: Api) -> None:
@@ -138,6 +139,8 @@ def report(
 
     Example: brink report 3f2a --out report.html
     """
+    from brink.report.campaign import campaign_report, write_page
+
     check_out(out, ".html", ".htm")
     screen = console()
 

@@ -12,12 +12,9 @@ import typer
 from brink.cli.options import AsJson, console, named_values, plain_table, print_json
 from brink.server.errors import InvalidInput
 from brink.sim.catalogue import plugin_ids
-from brink.sim.driving_systems.command import Definition, install
-from brink.sim.driving_systems.option import DRIVING_SYSTEMS, OWN
 from brink.sim.errors import DefinitionError
 from brink.sim.programs.installed import COMMANDS_VARIABLE
 from brink.user_file import read_file
-from brink.worker.driving_check import drive_streets
 
 MAX_SOURCE_BYTES: Final = 4 * 1024**2
 STREETS: Final = 10
@@ -63,6 +60,8 @@ def check(
 
     Example: brink driving check examples/driving/fmu/acc.yaml --json
     """
+    from brink.worker.driving_check import drive_streets
+
     settings = named_values("--setting", setting, "headway_s=1.2")
     with tempfile.TemporaryDirectory(prefix="brink-") as folder:
         system, module = _system(file, folder)
@@ -108,6 +107,9 @@ def _system(given: str, folder: str) -> tuple[str, str | None]:
     Raises:
         InvalidInput: There is no such file, or it has not one driving system.
     """
+    from brink.sim.driving_systems.command import Definition, install
+    from brink.sim.driving_systems.option import DRIVING_SYSTEMS, OWN
+
     if given.endswith((".yaml", ".yml")):
         os.environ[COMMANDS_VARIABLE] = folder
         try:

@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from brink.api.client import Api
-from brink.api.results import fetch_archive
 from brink.api.terminal import echo
 from brink.cli.options import (
     AsJson,
@@ -21,20 +20,12 @@ from brink.cli.options import (
     print_json,
     with_api,
 )
-from brink.cli.recording_options import GivenRecording, RecordingFormat, RecordingOptions, with_recording
-from brink.recordings.fit_errors import TYPES, fit_errors
-from brink.recordings.measure import observe
-from brink.report.errors import (
-    COLUMNS,
-    Violations,
-    agreement_words,
-    campaign_yaml,
-    error_rows,
-    error_sentences,
-    errors_yaml,
-    violations_of,
-)
+from brink.cli.recording_options import RecordingFormat, RecordingOptions, with_recording
+from brink.recordings.choices import TYPES
 from brink.server.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from brink.report.errors import Violations
 
 errors = typer.Typer(
     name="errors",
@@ -76,6 +67,11 @@ def fit(
 
     Example: brink errors fit results --truth labels --format kitti --without misses
     """
+    from brink.cli.recording_options import GivenRecording
+    from brink.recordings.fit_errors import fit_errors
+    from brink.recordings.measure import observe
+    from brink.report.errors import COLUMNS, campaign_yaml, error_rows, error_sentences, errors_yaml
+
     for name in without or ():
         if name not in TYPES:
             raise InvalidInput.at("--without", f"expected some of {', '.join(TYPES)}, got {name!r}")
@@ -112,6 +108,8 @@ def compare(
 
     Example: brink errors compare 3f2a 91bc
     """
+    from brink.api.results import fetch_archive
+    from brink.report.errors import Violations, agreement_words, violations_of
 
     async def work(api: Api) -> list[Violations]:
         return [violations_of(await fetch_archive(api, campaign)) for campaign in (one, other)]
@@ -125,7 +123,7 @@ def compare(
     console().print(words, soft_wrap=True)
 
 
-def show_violations(found: Sequence[Violations]) -> None:
+def show_violations(found: "Sequence[Violations]") -> None:
     """Print how many drives violate, a row for each campaign."""
     fits = [f" (with the spread of {one.replicates} fits)" if one.replicates > 1 else "" for one in found]
     rows = [

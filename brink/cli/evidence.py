@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -12,8 +12,6 @@ from rich.console import Console
 from brink import __version__
 from brink.api.client import Api
 from brink.api.live import Steps
-from brink.api.results import UNDRAWABLE, FetchedArchive, fetch_archive, fetch_requirements, trace_of
-from brink.cli.evidence_pairs import PairEvidence, draw_pair_evidence, write_pair_tables
 from brink.cli.options import (
     AsJson,
     CampaignId,
@@ -27,16 +25,17 @@ from brink.cli.options import (
     write_json,
 )
 from brink.extras import install_command
-from brink.pictures import render
-from brink.report.component import DetectionCounts, count_detections, write_boxes
-from brink.search.analysis.rules import Rules, region_rules, rules_markdown
 from brink.search.errors import MissingExtra, TooManyPairs
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.errors import InvalidInput
-from brink.server.findings.boundary.table import MEANINGS, boundary_columns, boundary_rows
 from brink.server.findings.boundary.views import Boundary
 from brink.server.findings.table import FORMATS, Row, has_parquet, table_bytes
-from brink.sim.trace import Trace
+
+if TYPE_CHECKING:
+    from brink.api.results import FetchedArchive
+    from brink.cli.evidence_pairs import PairEvidence
+    from brink.search.analysis.rules import Rules
+    from brink.sim.trace import Trace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,6 +94,11 @@ def evidence(
 
 
 async def _write(api: Api, campaign: str, options: _Options, screen: Console) -> dict[str, Any]:
+    from brink.api.results import fetch_archive
+    from brink.cli.evidence_pairs import draw_pair_evidence, write_pair_tables
+    from brink.search.analysis.rules import Rules
+    from brink.server.findings.boundary.table import boundary_columns, boundary_rows
+
     fetched = await fetch_archive(api, campaign)
     params = {"t_b": options.t_b, "d_th": options.d_th}
     boundary = await api.read(Boundary, f"/campaigns/{fetched.id}/boundary", params)
@@ -157,7 +161,9 @@ def _tables(rows: Sequence[Row], folder: Path, columns: Mapping[str, type]) -> N
             (folder / f"boundary.{form}").write_bytes(table_bytes(rows, form, columns))
 
 
-def _rules(fetched: FetchedArchive, t_b: float) -> list[Rules]:
+def _rules(fetched: "FetchedArchive", t_b: float) -> "list[Rules]":
+    from brink.search.analysis.rules import region_rules
+
     archive, space, seed = fetched.archive, fetched.plan.problem.space, fetched.body.seed
     regions = {
         f"the boundary (fitness at most {t_b:g})": archive.fitness <= t_b,
@@ -172,13 +178,16 @@ def _rules(fetched: FetchedArchive, t_b: float) -> list[Rules]:
 
 async def _replays(
     api: Api,
-    fetched: FetchedArchive,
+    fetched: "FetchedArchive",
     rows: Sequence[Row],
     boundary: Boundary,
     options: _Options,
     screen: Console,
 ) -> tuple[int, list[str]]:
     """Write replays and add detection counts to the rows; return the number of replays and a note per failure."""
+    from brink.api.results import UNDRAWABLE, fetch_requirements, trace_of
+    from brink.report.component import DetectionCounts, count_detections
+
     chosen = [
         (row, solution.number)
         for row, solution in zip(rows, boundary.solutions, strict=True)
@@ -210,8 +219,11 @@ async def _replays(
 
 
 def _draw(
-    trace: Trace, folder: Path, number: int, film: str | None, requirement: tuple[str, ...] | None
+    trace: "Trace", folder: Path, number: int, film: str | None, requirement: tuple[str, ...] | None
 ) -> None:
+    from brink.pictures import render
+    from brink.report.component import write_boxes
+
     (folder / f"{number}.npz").write_bytes(trace.to_bytes())
     write_boxes(trace, folder / f"{number}-boxes.csv")
     render(trace, folder / f"{number}.png", requirement=requirement)
@@ -220,14 +232,17 @@ def _draw(
 
 
 def _readme(
-    fetched: FetchedArchive,
+    fetched: "FetchedArchive",
     boundary: Boundary,
     options: _Options,
-    found: Sequence[Rules],
+    found: "Sequence[Rules]",
     notes: Sequence[str],
     drawn: int,
-    pairs: PairEvidence | None,
+    pairs: "PairEvidence | None",
 ) -> str:
+    from brink.search.analysis.rules import rules_markdown
+    from brink.server.findings.boundary.table import MEANINGS
+
     body = fetched.body
     with_boundary = bool(boundary.solutions) or pairs is None
     parts = [
@@ -256,14 +271,14 @@ def _readme(
     return "\n\n".join(parts).rstrip() + "\n"
 
 
-def _pairs_words(fetched: FetchedArchive) -> list[str]:
+def _pairs_words(fetched: "FetchedArchive") -> list[str]:
     return [
         "This campaign searched for pairs across the boundary: two neighbouring solutions, one safe and "
         f"one unsafe. `brink pairs {fetched.id}` shows them, and can simulate them again."
     ]
 
 
-def _boundary_words(fetched: FetchedArchive, boundary: Boundary, options: _Options) -> list[str]:
+def _boundary_words(fetched: "FetchedArchive", boundary: Boundary, options: _Options) -> list[str]:
     near = fetched.plan.neighbourhood
     return [
         f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} of them strict: fitness at most "
@@ -274,7 +289,7 @@ def _boundary_words(fetched: FetchedArchive, boundary: Boundary, options: _Optio
 
 
 def _files(
-    film: str | None, drawn: int, pairs: PairEvidence | None, words: str, *, with_boundary: bool
+    film: str | None, drawn: int, pairs: "PairEvidence | None", words: str, *, with_boundary: bool
 ) -> str:
     lines = [] if pairs is None else pairs.files()
     if with_boundary:

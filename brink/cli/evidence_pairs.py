@@ -13,7 +13,7 @@ from brink.search.errors import TooManyPairs
 from brink.server.findings.pairs.table import pairs_table
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView, PairView
 from brink.server.findings.table import FORMATS, has_parquet
-from brink.server.problems.changes import as_sentence
+from brink.server.findings.words import as_sentence
 
 _FOLDER: Final = "pairs"
 

@@ -11,20 +11,15 @@ import typer
 from typer.core import TyperGroup
 
 from brink.api.client import Api
-from brink.api.results import fetch_requirements, trace_of
 from brink.api.terminal import echo
 from brink.cli.database import export as export_campaign
 from brink.cli.options import AsJson, CampaignId, Database, Server, print_json, with_api
-from brink.cli.pair_pictures import chosen_pair
-from brink.cli.pairs import fetch_pairs
 from brink.extras import install_command
 from brink.scenarios.exportable import EXPORTED, MODULES, EgoControl, check_exportable
-from brink.scenarios.logical.folder import Exported, write_solutions
 from brink.search.errors import MissingExtra
 from brink.server.api.schemas import CampaignView
 from brink.server.errors import InvalidInput
 from brink.server.findings.pairs.views import MOST_PAIRS
-from brink.server.problems.command import Command
 from brink.server.views import SolutionView
 
 CAMPAIGN = "campaign"
@@ -86,6 +81,9 @@ def scenario(
 
     Example: brink export scenario 3f2a 17 --out scenario-17
     """
+    from brink.cli.pair_pictures import chosen_pair
+    from brink.cli.pairs import fetch_pairs
+
     if (pair is None) == (not numbers):
         raise InvalidInput.at("NUMBER", "expected numbers of solutions, or --pair")
     if out.exists() and not out.is_dir():
@@ -126,6 +124,9 @@ async def _export_scenarios(
     server: str | None,
 ) -> list[Path]:
     """Write solutions, each given by its number and its folder; return the files."""
+    from brink.scenarios.logical.folder import Exported, write_solutions
+    from brink.server.problems.command import Command
+
     view = await api.read(CampaignView, f"/campaigns/{campaign}")
     solutions = [
         (await api.read(SolutionView, f"/campaigns/{campaign}/solutions/{number}"), folder)
@@ -157,6 +158,7 @@ async def _export_drive(
     api: Api, view: CampaignView, solution: SolutionView, out: Path, ego: EgoControl, server: str | None
 ) -> list[Path]:
     # Imported here: they need the extra.
+    from brink.api.results import fetch_requirements, trace_of
     from brink.scenarios.folder import Origin, write_openscenario
 
     origin = Origin(

@@ -10,7 +10,6 @@ from brink.api.client import Api, CoordinatorError
 from brink.api.follow_ups import OPEN, follow_up_options
 from brink.cli.local import CommandSession, check_extra_of, run_locally, stopping
 from brink.cli.options import settings_with, with_api
-from brink.server.campaigns.follow_ups.question import question_of
 from brink.server.findings.finding import Findings
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.states import CampaignStatus, FollowUpKind
@@ -51,9 +50,11 @@ def follow_up(
     Returns:
         Whether none was stopped.
     """
-    words = {kind: question_of(kind).simulates for kind in FollowUpKind} | dict(simulates or {})
     if not requests:
         return True
+    from brink.server.campaigns.follow_ups.question import question_of
+
+    words = {kind: question_of(kind).simulates for kind in FollowUpKind} | dict(simulates or {})
     if server is None:
         return run_locally(
             settings_with(database=database, port=0),

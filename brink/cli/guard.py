@@ -3,13 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from brink.api.live import Steps
-from brink.api.results import FetchedArchive
-from brink.cli.fitted import fetch_archives, fitted_among, fitted_words
 from brink.cli.guard_drive import drive
 from brink.cli.options import (
     AsJson,
@@ -22,28 +20,18 @@ from brink.cli.options import (
     plain_table,
     print_json,
 )
-from brink.guard.drives import (
-    DEFAULT_PROBLEM,
-    Drive,
-    Recorders,
-    check_problem,
-    check_requirements,
-    check_verdicts,
-    problem_of,
-    random_specs,
-    solution_specs,
-    with_requirements,
-)
-from brink.guard.evaluation import FALSE_ALARMS, LEAD_S, LEADS_S, GuardEvaluation, PredictorResult, evaluate
-from brink.guard.fitting import fit as fit_guard
-from brink.guard.model import GuardModel, Sensor
-from brink.guard.seen import check_unseen
+from brink.guard.choices import DEFAULT_PROBLEM, FALSE_ALARMS, Sensor
 from brink.server.campaigns.body import PluginChoice
 from brink.server.errors import Conflict, InvalidInput
-from brink.server.problems.base import SimulatedProblem
-from brink.server.problems.catalogue import make_problem
 from brink.sim.catalogue import REQUIREMENTS, plugin_ids
 from brink.sim.episode import EpisodeSpec
+
+if TYPE_CHECKING:
+    from brink.api.results import FetchedArchive
+    from brink.guard.drives import Drive
+    from brink.guard.evaluation import GuardEvaluation, PredictorResult
+    from brink.guard.model import GuardModel
+    from brink.server.problems.base import SimulatedProblem
 
 FRESH_SEED = 2_001
 """Seed of fresh drives; seeds of campaigns are usually small."""
@@ -114,6 +102,8 @@ def fit(
 
     Example: brink guard fit 3f2a 91bc --random 500 --out guard.json
     """
+    from brink.guard.fitting import fit as fit_guard
+
     check_out(out, make_folder=True)
     source = _source(campaigns, random, seed, database, server, requirement=requirement)
     with Steps(console(stderr=True), "re-running drives") as steps:
@@ -171,6 +161,10 @@ def judge(
 
     Example: brink guard judge guard.json --drives 2000 --picture guard.png
     """
+    from brink.guard.drives import problem_of
+    from brink.guard.evaluation import evaluate
+    from brink.guard.model import GuardModel
+
     check_picture(picture)
     model = GuardModel.load(file)
     if not campaigns and not drives:
@@ -213,7 +207,7 @@ class _Part:
 
     whose: str
     specs: Sequence[EpisodeSpec]
-    fetched: FetchedArchive | None = None
+    fetched: "FetchedArchive | None" = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -248,12 +242,14 @@ class _Source:
             "problem": self.choice.model_dump(mode="json"),
         }
 
-    def recorded(self, processes: int, steps: Steps) -> list[Drive]:
+    def recorded(self, processes: int, steps: Steps) -> "list[Drive]":
         """Run all drives again; a drive that several campaigns share counts once.
 
         Raises:
             Conflict: The drives of a campaign end differently on this machine.
         """
+        from brink.guard.drives import Drive, Recorders, check_problem, check_verdicts
+
         found: dict[str, Drive] = {}
         with Recorders(processes) as recorders:
             for one in self.parts:
@@ -267,12 +263,14 @@ class _Source:
         return list(found.values())
 
 
-def _specs(problem: SimulatedProblem, fetched: FetchedArchive) -> list[EpisodeSpec]:
+def _specs(problem: "SimulatedProblem", fetched: "FetchedArchive") -> list[EpisodeSpec]:
     """Return the episodes of a campaign.
 
     Raises:
         Conflict: They differ from those that were simulated, or the coordinator does not send their seeds.
     """
+    from brink.guard.drives import solution_specs
+
     whose = f"campaign {fetched.id}"
     if fetched.seeds is None or fetched.digests is None:
         raise Conflict(f"{whose}: its coordinator does not send the seeds of episodes: update it")
@@ -295,6 +293,10 @@ def _source(
         InvalidInput: There are no drives, or a guard cannot watch them.
         Conflict: The campaigns have different problems, or their drives were not judged by a requirement.
     """
+    from brink.cli.fitted import fetch_archives
+    from brink.guard.drives import check_problem, check_requirements, random_specs, with_requirements
+    from brink.server.problems.catalogue import make_problem
+
     if not campaigns and not random:
         raise InvalidInput.at("", "expected ids of campaigns, or a number of random drives with --random")
     for one in requirement or ():
@@ -319,12 +321,15 @@ def _source(
     return _Source(choice=choice, requirements=names, parts=parts, random=random, seed=seed)
 
 
-def _check_fresh(file: Path, model: GuardModel, source: _Source) -> None:
+def _check_fresh(file: Path, model: "GuardModel", source: _Source) -> None:
     """Check that a guard was not fitted to the drives on which it is to be evaluated, whatever their campaign.
 
     Raises:
         Conflict: It was.
     """
+    from brink.cli.fitted import fitted_among, fitted_words
+    from brink.guard.seen import check_unseen
+
     fetched = [one.fetched for one in source.parts if one.fetched is not None]
     if own := fitted_among(model.about, fetched):
         raise Conflict(
@@ -335,7 +340,9 @@ def _check_fresh(file: Path, model: GuardModel, source: _Source) -> None:
     check_unseen(model.about, drives, name=str(file), seeds=seeds, option="--seed")
 
 
-def _print(evaluation: GuardEvaluation) -> None:
+def _print(evaluation: "GuardEvaluation") -> None:
+    from brink.guard.evaluation import LEAD_S, LEADS_S
+
     screen = console()
     share = evaluation.violations / evaluation.drives
     screen.print(
@@ -369,7 +376,9 @@ def _print(evaluation: GuardEvaluation) -> None:
     screen.print("", plain_table("horizon", *figures, right=figures, rows=rows))
 
 
-def _row(one: PredictorResult) -> list[str]:
+def _row(one: "PredictorResult") -> list[str]:
+    from brink.guard.evaluation import LEADS_S
+
     interval = _limits(one.interval) if one.shown == one.compared else ""
     warned = [f"{share:.0%}" for lead_s, share in zip(LEADS_S, one.shown.warned, strict=True) if lead_s]
     return [f"  {one.name}", f"{one.shown.false_alarms:.1%}", *warned, interval]

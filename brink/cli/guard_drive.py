@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -18,36 +18,19 @@ from brink.cli.options import (
     read_odd,
     write_json,
 )
-from brink.guard.drives import DEFAULT_PROBLEM, check_problem, problem_of, random_specs, with_requirements
-from brink.guard.loop import (
-    FIRST_SEED,
-    LIMITS,
-    MOST_LOST,
-    Condition,
-    GuardedLoop,
-    drive_with_guard,
-    guarded_spec,
-    record_drive_trace,
-    thresholds_around,
-)
-from brink.guard.model import GuardModel
-from brink.guard.seen import SeenDrives, check_unseen
-from brink.guard.sight import LEAD_S, WINDOW_S, Reported
-from brink.search.analysis.guard_drives import Estimate, GuardWorth
-from brink.search.space import BoolArray
+from brink.guard.choices import DEFAULT_PROBLEM, FIRST_SEED, LIMITS
 from brink.server.campaigns.body import PluginChoice
 from brink.server.errors import InvalidInput
-from brink.server.problems.catalogue import make_problem
 from brink.sim.catalogue import plugin_ids
 from brink.sim.guard.option import DEFAULT_FALLBACK, FILE, GUARDS, GuardOption
 
+if TYPE_CHECKING:
+    from brink.guard.loop import Condition, GuardedLoop
+    from brink.guard.model import GuardModel
+    from brink.search.analysis.guard_drives import Estimate, GuardWorth
+    from brink.search.space import BoolArray
+
 MOST_PICTURES: Final = 20
-_WORDS: Final = {
-    Reported.COUNTERPART: "the other road user",
-    Reported.OTHERS: "something else only",
-    Reported.NOTHING: "nothing",
-    Reported.NO_ROAD_USER: "(not about a road user)",
-}
 
 
 def drive(
@@ -132,6 +115,11 @@ def drive(
 
     Example: brink guard drive guard.json --drives 200 --seeds 10 --out guard-drives
     """
+    from brink.guard.drives import check_problem, random_specs
+    from brink.guard.loop import drive_with_guard, thresholds_around
+    from brink.guard.seen import SeenDrives, check_unseen
+    from brink.server.problems.catalogue import make_problem
+
     option = _option(guard, fallback, setting or [])
     model = _model(option)
     chosen = sorted(set(threshold)) if threshold else thresholds_around(option.own_threshold)
@@ -188,13 +176,15 @@ def _option(guard: str, fallback: str, settings: Sequence[str]) -> GuardOption:
     return GuardOption.of(name, fallback=fallback, settings=values)
 
 
-def _model(option: GuardOption) -> GuardModel | None:
+def _model(option: GuardOption) -> "GuardModel | None":
     """Return the fitted model of a guard; None if it is a registered one."""
+    from brink.guard.model import GuardModel
+
     return GuardModel.load(option.guard.removeprefix(FILE)) if option.guard.startswith(FILE) else None
 
 
 def _choice(
-    model: GuardModel | None, problem_id: str | None, params: Mapping[str, Any], requirements: Sequence[str]
+    model: "GuardModel | None", problem_id: str | None, params: Mapping[str, Any], requirements: Sequence[str]
 ) -> PluginChoice:
     """Return the problem of the drives: the guard's own, unless the command line names another one.
 
@@ -204,6 +194,8 @@ def _choice(
         params: Parameters that replace those of the guard's own problem.
         requirements: Requirements that count; without any, what the guard predicts.
     """
+    from brink.guard.drives import problem_of, with_requirements
+
     own = DEFAULT_PROBLEM if model is None else problem_of(model.about)
     base = own if problem_id in (None, own.id) else PluginChoice(id=str(problem_id))
     merged = PluginChoice(id=base.id, params={**base.params, **params})
@@ -221,7 +213,7 @@ def _remove_pictures(out: Path) -> None:
         picture.unlink(missing_ok=True)
 
 
-def _print(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolArray]) -> None:
+def _print(loop: "GuardedLoop", option: GuardOption, parts: "Mapping[str, BoolArray]") -> None:
     screen = console()
     count = len(loop.specs)
     violating = sum(one.violates(loop.requirements) for one in loop.without)
@@ -256,7 +248,9 @@ def _print(loop: GuardedLoop, option: GuardOption, parts: Mapping[str, BoolArray
     _print_requirements(loop, best)
 
 
-def _print_recommendation(loop: GuardedLoop, best: Condition | None) -> None:
+def _print_recommendation(loop: "GuardedLoop", best: "Condition | None") -> None:
+    from brink.guard.loop import MOST_LOST
+
     limit = f"a loss of at most {MOST_LOST:.0%} of the mean distance of safe drives"
     if not loop.chooses.any():
         text = "no threshold is recommended: that needs two seeds, one to choose it and one to report on"
@@ -276,7 +270,7 @@ def _print_recommendation(loop: GuardedLoop, best: Condition | None) -> None:
     console().print(text, soft_wrap=True)
 
 
-def _row(worth: GuardWorth) -> list[str]:
+def _row(worth: "GuardWorth") -> list[str]:
     return [
         _percent(worth.reduction),
         f"{worth.prevented:,}",
@@ -290,7 +284,7 @@ def _row(worth: GuardWorth) -> list[str]:
     ]
 
 
-def _print_parts(loop: GuardedLoop, best: Condition, parts: Mapping[str, BoolArray]) -> None:
+def _print_parts(loop: "GuardedLoop", best: "Condition", parts: "Mapping[str, BoolArray]") -> None:
     if not parts:
         return
     names = ("drives", "violations", "fall by", "distance lost", "false alarms an hour")
@@ -309,7 +303,7 @@ def _print_parts(loop: GuardedLoop, best: Condition, parts: Mapping[str, BoolArr
     console().print("", plain_table(f"at threshold {best.threshold:.3f}", *names, right=names, rows=rows))
 
 
-def _print_requirements(loop: GuardedLoop, best: Condition) -> None:
+def _print_requirements(loop: "GuardedLoop", best: "Condition") -> None:
     """Print how many drives violate each requirement, also those that do not count."""
     names = ("without the guard", f"at threshold {best.threshold:.3f}")
     rows = [
@@ -320,11 +314,19 @@ def _print_requirements(loop: GuardedLoop, best: Condition) -> None:
     )
 
 
-def _print_sights(loop: GuardedLoop, best: Condition, counts: BoolArray) -> None:
+def _print_sights(loop: "GuardedLoop", best: "Condition", counts: "BoolArray") -> None:
+    from brink.guard.sight import LEAD_S, WINDOW_S, Reported
+
+    words = {
+        Reported.COUNTERPART: "the other road user",
+        Reported.OTHERS: "something else only",
+        Reported.NOTHING: "nothing",
+        Reported.NO_ROAD_USER: "(not about a road user)",
+    }
     names = ("violations", "never reported", "within range", "prevented")
     keys = ("violations", "never_reported", "in_range", "prevented")
     rows = [
-        (_WORDS[Reported(row["reported"])], *(f"{row[key]:,}" for key in keys))
+        (words[Reported(row["reported"])], *(f"{row[key]:,}" for key in keys))
         for row in loop.by_report(best, counts)
         if row["violations"]
     ]
@@ -338,7 +340,7 @@ def _print_sights(loop: GuardedLoop, best: Condition, counts: BoolArray) -> None
     )
 
 
-def _percent(estimate: Estimate, decimals: int = 0) -> str:
+def _percent(estimate: "Estimate", decimals: int = 0) -> str:
     """Return a share with its interval, such as ``42% (37 to 47)``."""
     if estimate.value is None:
         return "–"
@@ -348,14 +350,14 @@ def _percent(estimate: Estimate, decimals: int = 0) -> str:
     return f"{shown} ({100 * estimate.low:.{decimals}f} to {100 * estimate.high:.{decimals}f})"
 
 
-def _number(estimate: Estimate) -> str:
+def _number(estimate: "Estimate") -> str:
     if estimate.value is None:
         return "–"
     shown = f"{estimate.value:.1f}"
     return shown if estimate.low is None else f"{shown} ({estimate.low:.1f} to {estimate.high:.1f})"
 
 
-def _draw(loop: GuardedLoop, out: Path) -> None:
+def _draw(loop: "GuardedLoop", out: Path) -> None:
     # matplotlib takes half a second to load: only commands that draw wait for it.
     from brink.plots.guard_drives import figure_guard_tradeoff
 
@@ -366,7 +368,8 @@ def _draw(loop: GuardedLoop, out: Path) -> None:
     figure.savefig(out / "trade-off.png")
 
 
-def _draw_prevented(loop: GuardedLoop, out: Path, count: int, steps: Steps) -> None:
+def _draw_prevented(loop: "GuardedLoop", out: Path, count: int, steps: Steps) -> None:
+    from brink.guard.loop import guarded_spec, record_drive_trace
     from brink.pictures.guard import prevented_pair
     from brink.pictures.render import render_pair
 

@@ -7,21 +7,22 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from brink.cli.options import AsJson, check_out, console, named_values, plain_table, print_json, program
-from brink.scenarios.logical.campaign import Draft
 from brink.scenarios.logical.distributions import Distributions, scenario_of
 from brink.scenarios.logical.document import Document, read_document
 from brink.scenarios.logical.laws import Law
-from brink.scenarios.logical.space import Axis, LogicalScenario, MissingRanges, Wishes, logical_scenario
-from brink.scenarios.logical.template import Template, template_of
 from brink.server.errors import InvalidInput
-from brink.server.problems.catalogue import make_problem
 from brink.sim.adapters.command.definition import with_contents
 from brink.sim.errors import DefinitionError
+
+if TYPE_CHECKING:
+    from brink.scenarios.logical.campaign import Draft
+    from brink.scenarios.logical.space import Axis, LogicalScenario, Wishes
+    from brink.scenarios.logical.template import Template
 
 SCENARIO_FILE: Final = "scenario.xosc"
 """Name of the scenario in the working folder."""
@@ -92,6 +93,9 @@ def init(
 
     Example: brink init --from cut-in.xosc --command "./sim {seed}" --range gap=5:60 --out cut-in.yaml
     """
+    from brink.scenarios.logical.space import Wishes
+    from brink.scenarios.logical.template import template_of
+
     asks = _is_terminal() and not as_json
     if asks and from_ is None and command is None:
         given = typer.prompt(
@@ -188,9 +192,11 @@ def _documents(from_: Path, distribution: Path | None) -> tuple[Document, Docume
 
 
 def _logical(
-    scenario: Document, distribution: Document | None, wishes: Wishes, *, asks: bool
-) -> LogicalScenario:
+    scenario: Document, distribution: Document | None, wishes: "Wishes", *, asks: bool
+) -> "LogicalScenario":
     """Return a scenario with its search space, after asking for ranges that are missing."""
+    from brink.scenarios.logical.space import MissingRanges, logical_scenario
+
     while True:
         try:
             return logical_scenario(scenario, distribution, wishes)
@@ -230,8 +236,10 @@ def _asked_parameters() -> dict[str, str]:
         ranges |= named_values("parameter", [answer], "gap=5:60", read=str)
 
 
-def _plain_axes(ranges: Mapping[str, str]) -> tuple[Axis, ...]:
+def _plain_axes(ranges: Mapping[str, str]) -> "tuple[Axis, ...]":
     """Return the parameters that options alone describe."""
+    from brink.scenarios.logical.space import Axis
+
     axes = []
     for name, text in ranges.items():
         declared: dict[str, Any]
@@ -260,15 +268,17 @@ def _plain_axes(ranges: Mapping[str, str]) -> tuple[Axis, ...]:
 
 def _draft(
     out: Path,
-    logical: LogicalScenario | None,
-    template: Template | None,
-    axes: tuple[Axis, ...],
+    logical: "LogicalScenario | None",
+    template: "Template | None",
+    axes: "tuple[Axis, ...]",
     command: str | None,
     log: str,
     time: str | None,
     requirement: str | None,
     unit: str | None,
-) -> Draft:
+) -> "Draft":
+    from brink.scenarios.logical.campaign import Draft
+
     guesses: dict[str, str] = {}
     if command is None:
         words = list(ESMINI)
@@ -314,14 +324,14 @@ def _draft(
     )
 
 
-def _origin(logical: LogicalScenario | None) -> str:
+def _origin(logical: "LogicalScenario | None") -> str:
     if logical is None:
         return "the options of brink init"
     return f"{logical.document.path.name} by brink init"
 
 
 def _notes(
-    logical: LogicalScenario | None, template: Template | None, distributions: Distributions | None
+    logical: "LogicalScenario | None", template: "Template | None", distributions: Distributions | None
 ) -> list[str]:
     notes = [] if logical is None or template is None else [*logical.notes, *template.notes]
     if distributions is not None and distributions.runs is not None:
@@ -335,7 +345,7 @@ def _notes(
 
 
 def _guessed_requirement(
-    signals: dict[str, Any], logical: LogicalScenario | None, *, of_esmini: bool
+    signals: dict[str, Any], logical: "LogicalScenario | None", *, of_esmini: bool
 ) -> tuple[dict[str, Any], dict[str, Any], str]:
     """Return signals and a requirement that a user has yet to state, and what to state."""
     if not of_esmini or logical is None:
@@ -367,12 +377,14 @@ def _relative(path: Path, out: Path) -> str:
     return os.path.relpath(path.absolute(), out.parent.absolute())
 
 
-def _check(draft: Draft, template: Template | None, folder: Path) -> None:
+def _check(draft: "Draft", template: "Template | None", folder: Path) -> None:
     """Check that the campaign is valid but for the program, which need not be on this machine.
 
     Raises:
         InvalidInput: It is not.
     """
+    from brink.server.problems.catalogue import make_problem
+
     params = draft.params()
     if template is not None:
         params["files"] = {SCENARIO_FILE: {"content": template.content.decode()}}
@@ -422,7 +434,7 @@ def _law_words(law: Law | None) -> str:
     return f"{law['kind']} {numbers}".strip()
 
 
-def _document(draft: Draft, logical: LogicalScenario | None, written: Sequence[Path]) -> dict[str, Any]:
+def _document(draft: "Draft", logical: "LogicalScenario | None", written: Sequence[Path]) -> dict[str, Any]:
     return {
         "files": [str(path) for path in written],
         "parameters": [
@@ -441,7 +453,7 @@ def _document(draft: Draft, logical: LogicalScenario | None, written: Sequence[P
     }
 
 
-def _show(draft: Draft, logical: LogicalScenario | None, written: Sequence[Path]) -> None:
+def _show(draft: "Draft", logical: "LogicalScenario | None", written: Sequence[Path]) -> None:
     screen = console()
     rows = [(axis.name, _space_words(axis.declared), _law_words(axis.law), axis.about) for axis in draft.axes]
     screen.print(plain_table("parameter", "values", "distribution", "from", rows=rows))

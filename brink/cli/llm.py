@@ -3,7 +3,7 @@
 import asyncio
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -22,17 +22,15 @@ from brink.cli.options import (
     settings_with,
     with_api,
 )
-from brink.search.algorithm import SeedRequest
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
-from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
 from brink.server.llm.access import LlmAccess
-from brink.server.llm.preflight import EndpointReport, check_endpoint, estimate
-from brink.server.llm.prompts import example, question
 from brink.server.llm.seeder import EXPECTED
 from brink.server.llm.settings import LlmSettings
-from brink.server.problems.base import SupportsSeeds
 from brink.server.seeding import LlmCalls
+
+if TYPE_CHECKING:
+    from brink.server.llm.preflight import EndpointReport
 
 llm = typer.Typer(help="Check and preview language models that seed searches.", no_args_is_help=True)
 
@@ -46,6 +44,8 @@ def check(file: CampaignFile, as_json: AsJson = False) -> None:
 
     Example: brink llm check examples/traffic-llm.yaml
     """
+    from brink.server.llm.preflight import check_endpoint
+
     with about_file(file):
         settings = _settings(read_campaign_file(file))
     access = LlmAccess.parse(settings_with().allowing([settings.endpoint]).llm_endpoints)
@@ -59,7 +59,7 @@ def check(file: CampaignFile, as_json: AsJson = False) -> None:
         raise typer.Exit(1)
 
 
-def _print_report(settings: LlmSettings, report: EndpointReport) -> None:
+def _print_report(settings: LlmSettings, report: "EndpointReport") -> None:
     screen = console()
     if report.trouble:
         screen.print(report.trouble, soft_wrap=True, style="red")
@@ -105,6 +105,12 @@ def dry_run(
 
     Example: brink llm dry-run examples/traffic-llm.yaml
     """
+    from brink.search.algorithm import SeedRequest
+    from brink.server.campaigns.plan import make_checked_plan
+    from brink.server.llm.preflight import estimate
+    from brink.server.llm.prompts import example, question
+    from brink.server.problems.base import SupportsSeeds
+
     body = read_campaign_file(file)
     with about_file(file):
         settings = _settings(body)

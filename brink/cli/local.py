@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from typing import Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from rich.console import Console
 
@@ -19,17 +19,17 @@ from brink.api.client import Api, connect
 from brink.api.follow_ups import OPEN, continue_follow_up
 from brink.api.following import P, Session
 from brink.api.live import CampaignDisplay, LiveDisplay, earlier_words
-from brink.api.runs import Workload, resume_or_submit
 from brink.cli.options import RESULTS, database_option, database_place, naming_ids, program, settings_with
 from brink.server.api.schemas import CampaignView, Progress
-from brink.server.campaigns.plan import make_plan
 from brink.server.errors import Conflict
 from brink.server.findings.boundary.repeat_views import RepeatsView
 from brink.server.findings.follow_ups import FollowUpView
-from brink.server.problems.catalogue import check_extra
-from brink.server.runtime.coordinator import WorkerProcesses, local_coordinator
-from brink.server.settings import LOOPBACK, Settings
 from brink.server.states import CampaignStatus
+
+if TYPE_CHECKING:
+    from brink.api.runs import Workload
+    from brink.server.runtime.coordinator import WorkerProcesses
+    from brink.server.settings import Settings
 
 STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
@@ -45,8 +45,8 @@ class CommandSession(Session):
         screen: Console for progress and hints.
     """
 
-    processes: WorkerProcesses
-    settings: Settings
+    processes: "WorkerProcesses"
+    settings: "Settings"
     screen: Console
 
     def hint(self, text: str, command: str) -> None:
@@ -99,7 +99,7 @@ class RunOptions:
 
 
 def run_locally(
-    settings: Settings,
+    settings: "Settings",
     screen: Console,
     work: Callable[[CommandSession], Awaitable[T]],
     *,
@@ -119,6 +119,8 @@ def run_locally(
         DatabaseError: The database is unusable.
         CannotListen: The coordinator failed to start.
     """
+    from brink.server.runtime.coordinator import WorkerProcesses, local_coordinator
+
     out.mkdir(parents=True, exist_ok=True)
 
     async def run(processes: WorkerProcesses) -> T:
@@ -132,8 +134,10 @@ def run_locally(
         return asyncio.run(run(processes))
 
 
-def _serve_later(settings: Settings) -> tuple[str, str]:
+def _serve_later(settings: "Settings") -> tuple[str, str]:
     """Return the command that serves the dashboard of a database, and its address."""
+    from brink.server.settings import LOOPBACK
+
     usual = settings_with().port
     port = settings.port or usual
     option = "" if port == usual else f" --port {port}"
@@ -156,11 +160,14 @@ async def check_extra_of(api: Api, campaign: str) -> None:
     Raises:
         InvalidInput: An extra is not installed.
     """
+    from brink.server.campaigns.plan import make_plan
+    from brink.server.problems.catalogue import check_extra
+
     check_extra(make_plan((await api.read(CampaignView, f"/campaigns/{campaign}")).body).problem)
 
 
 def run_to_end(
-    workload: Workload[P],
+    workload: "Workload[P]",
     options: RunOptions,
     screen: Console,
     display: LiveDisplay[P],
@@ -220,8 +227,10 @@ def run_to_end(
     return run_locally(settings, screen, work, out=options.out, any_port=options.port is None)
 
 
-async def _start(workload: Workload[P], options: RunOptions, session: CommandSession) -> tuple[str, bool]:
+async def _start(workload: "Workload[P]", options: RunOptions, session: CommandSession) -> tuple[str, bool]:
     """Return the id of the run to watch, the latest one of this file or a new one, and whether it has ended."""
+    from brink.api.runs import resume_or_submit
+
     statuses = [*OPEN, *([CampaignStatus.FINISHED] if options.resume else [])]
     found = None if options.new else await workload.latest(session.api, statuses)
     done = "" if found is None else f"at {found.simulations:,} of {found.budget:,} simulations"

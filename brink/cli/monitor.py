@@ -4,14 +4,11 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from brink import __version__
-from brink.api.results import FetchedArchive
-from brink.cli.fitted import fetch_archives, fitted_among, fitted_words
 from brink.cli.options import (
     AsJson,
     Database,
@@ -23,20 +20,17 @@ from brink.cli.options import (
     plain_table,
     print_json,
 )
-from brink.search.analysis.boosted_trees import LEAST_OF_A_VERDICT
-from brink.search.analysis.monitor import LARGEST_BYTES, Answer, Model, Monitor, default_model
-from brink.search.analysis.monitor_evaluation import (
-    MonitorEvaluation,
-    evaluate_monitor,
-    evaluate_pairs,
-    fewest_false_alarms,
-)
-from brink.search.archive import Archive
+from brink.search.analysis.choices import LEAST_OF_A_VERDICT, Model
 from brink.search.errors import DocumentError, SpaceError
-from brink.search.space import FloatArray, SearchSpace
 from brink.server.documents import read_yaml
 from brink.server.errors import Conflict, InvalidInput
 from brink.user_file import read_text
+
+if TYPE_CHECKING:
+    from brink.api.results import FetchedArchive
+    from brink.search.analysis.monitor import Monitor
+    from brink.search.analysis.monitor_evaluation import MonitorEvaluation
+    from brink.search.space import FloatArray, SearchSpace
 
 MISSED = (0.01, 0.05, 0.1)
 """Shares of missed hazards for which false alarm rates are shown."""
@@ -88,6 +82,9 @@ def fit(
 
     Example: brink monitor fit 3f2a --out monitor.json
     """
+    from brink.cli.fitted import fetch_archives
+    from brink.search.analysis.monitor import Monitor, default_model
+
     check_out(out, make_folder=True)
     fetched = fetch_archives(campaigns, server=server, database=database)
     vectors, unsafe = _evaluated(fetched)
@@ -211,6 +208,9 @@ def judge(
 
     Example: brink monitor judge monitor.json 91bc --picture monitor.png
     """
+    from brink.cli.fitted import fetch_archives
+    from brink.search.analysis.monitor_evaluation import evaluate_monitor, evaluate_pairs
+
     check_picture(picture)
     fitted = _read(file)
     sides = None if pairs is None else _pairs(pairs, fitted.space.unlimited())
@@ -238,19 +238,24 @@ def judge(
         console().print(f"picture: {picture}", soft_wrap=True)
 
 
-def _read(file: Path) -> Monitor:
+def _read(file: Path) -> "Monitor":
+    from brink.search.analysis.monitor import Monitor
+
     try:
         return Monitor.load(file)
     except DocumentError as error:
         raise InvalidInput.at("", f"{file}: {error}") from None
 
 
-def _check_fresh(file: Path, campaigns: Sequence[FetchedArchive]) -> None:
+def _check_fresh(file: Path, campaigns: "Sequence[FetchedArchive]") -> None:
     """Check that a monitor was not fitted to the campaigns that evaluate it; warn if it was fitted to some.
 
     Raises:
         Conflict: It was fitted to all of them.
     """
+    from brink.cli.fitted import fitted_among, fitted_words
+    from brink.search.analysis.monitor import LARGEST_BYTES
+
     own = fitted_among(json.loads(read_text(file, LARGEST_BYTES)).get("about"), campaigns)
     if not own:
         return
@@ -267,8 +272,13 @@ def _check_fresh(file: Path, campaigns: Sequence[FetchedArchive]) -> None:
     )
 
 
-def _pairs(file: Path, space: SearchSpace) -> tuple[FloatArray, FloatArray]:
+def _pairs(file: Path, space: "SearchSpace") -> "tuple[FloatArray, FloatArray]":
     """Return the safe and the unsafe sides of the pairs in a JSON Lines file, each of shape ``(n, d)``."""
+    import numpy as np
+
+    from brink.search.analysis.monitor import LARGEST_BYTES
+    from brink.search.space import FloatArray
+
     sides: dict[str, list[FloatArray]] = {"safe": [], "unsafe": []}
     try:
         lines = read_text(file, LARGEST_BYTES).splitlines()
@@ -294,7 +304,11 @@ def _pairs(file: Path, space: SearchSpace) -> tuple[FloatArray, FloatArray]:
     return np.array(sides["safe"]), np.array(sides["unsafe"])
 
 
-def _evaluated(fetched: Sequence[FetchedArchive]) -> tuple[Any, Any]:
+def _evaluated(fetched: "Sequence[FetchedArchive]") -> tuple[Any, Any]:
+    import numpy as np
+
+    from brink.search.archive import Archive
+
     archives: list[Archive] = [one.archive for one in fetched]
     return (
         np.concatenate([archive.vectors for archive in archives]),
@@ -302,7 +316,10 @@ def _evaluated(fetched: Sequence[FetchedArchive]) -> tuple[Any, Any]:
     )
 
 
-def _print(evaluation: MonitorEvaluation) -> None:
+def _print(evaluation: "MonitorEvaluation") -> None:
+    from brink.search.analysis.monitor import Answer
+    from brink.search.analysis.monitor_evaluation import fewest_false_alarms
+
     screen = console()
     screen.print(f"fitted to {evaluation.learned:,} simulations, evaluated on {evaluation.fresh:,} others")
     columns = (

@@ -5,9 +5,7 @@ from typing import Final
 
 from brink.api.client import Api
 from brink.api.live import Steps
-from brink.api.results import find_pair
 from brink.cli.options import console
-from brink.report.pair_pictures import write_pair
 from brink.server.errors import InvalidInput
 from brink.server.findings.pairs.views import PairsView, PairView
 
@@ -20,6 +18,8 @@ def chosen_pair(view: PairsView, number: int, option: str) -> PairView:
     Raises:
         InvalidInput: There is no such pair; the message says what there is.
     """
+    from brink.api.results import find_pair
+
     if not view.pairs:
         raise InvalidInput.at(option, f"expected the number of a pair, but there is none: {view.note}")
     if not 1 <= number <= view.distinct:
@@ -47,6 +47,8 @@ async def draw_pair(api: Api, view: PairsView, pair: PairView, path: Path, *, wo
     Raises:
         NoTrace: A drive cannot be run again; for a picture only if that failed, not if there is nothing to replay.
     """
+    from brink.report.pair_pictures import write_pair
+
     # On stderr: the output of this command is the names of the files.
     with Steps(console(stderr=True), f"drawing {path}") as steps:
         await write_pair(api, view, pair, path, workers=workers, show=steps.show)

@@ -10,7 +10,6 @@ from rich.console import Console
 from brink.api.client import Api
 from brink.api.follow_ups import follow_up_requests
 from brink.api.terminal import echo
-from brink.cli.changed_pairs import ChangedPairs
 from brink.cli.findings import show_kind
 from brink.cli.follow_ups import follow_up
 from brink.cli.options import (
@@ -30,9 +29,8 @@ from brink.cli.options import (
     with_api,
 )
 from brink.cli.pair_pictures import PICTURES, chosen_pair, draw_pair
-from brink.cli.results_folder import update_pairs
-from brink.report.pair_pictures import FILMS
-from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED
+from brink.report.limits import FILMS
+from brink.server.campaigns.follow_ups.limits import MOST_PAIRS_FOLLOWED
 from brink.server.errors import InvalidInput
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.pairs.views import MOST_PAIRS, Minimality, PairsView
@@ -185,6 +183,8 @@ def pairs(
                 "requires --confirm" if confirm is None else f"cannot be combined with {' and '.join(chosen)}"
             )
             raise InvalidInput.at("--set", expected)
+        from brink.cli.changed_pairs import ChangedPairs
+
         changed = ChangedPairs(
             campaign,
             lambda api: fetch_asked(api, campaign, limit, **given),
@@ -262,6 +262,8 @@ def pairs(
     async def show(api: Api) -> None:
         await work(api)
         if asked and server is None and complete:
+            from brink.cli.results_folder import update_pairs
+
             await update_pairs(api, campaign, results, screen)
 
     with_api(server, database, show)

@@ -2,7 +2,7 @@
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -10,7 +10,9 @@ from brink.api.terminal import echo
 from brink.cli.options import AsJson, check_out, console, plain_table, print_json
 from brink.extras import install_command
 from brink.server.errors import FieldError, InvalidInput, nearest
-from brink.sim.perturbations.catalogue import CATALOGUE, Gene, VisionMissing
+
+if TYPE_CHECKING:
+    from brink.sim.perturbations.catalogue import Gene
 
 perturbations = typer.Typer(
     help="List image perturbations, and show their effect on an image.", no_args_is_help=True
@@ -26,6 +28,8 @@ def list_genes(as_json: AsJson = False) -> None:
 
     Example: brink perturbations list
     """
+    from brink.sim.perturbations.catalogue import CATALOGUE
+
     if as_json:
         print_json([_as_json(gene) for gene in CATALOGUE.values()])
         return
@@ -39,7 +43,7 @@ def list_genes(as_json: AsJson = False) -> None:
     screen.print(f"{len(CATALOGUE)} genes, {levels} levels; level 0 of each has no effect")
 
 
-def _as_json(gene: Gene) -> dict[str, Any]:
+def _as_json(gene: "Gene") -> dict[str, Any]:
     return {
         "gene": gene.name,
         "levels": gene.levels,
@@ -49,7 +53,7 @@ def _as_json(gene: Gene) -> dict[str, Any]:
     }
 
 
-def _values(gene: Gene) -> str:
+def _values(gene: "Gene") -> str:
     """Return all levels' values as text if there are at most five, otherwise the first two and the last."""
     shown = [f"{value:g}" for value in gene.values]
     return ", ".join(shown) if len(shown) <= 5 else f"{shown[0]}, {shown[1]} … {shown[-1]}"
@@ -73,6 +77,8 @@ def show(
 
     Example: brink perturbations show --image street.jpg --out sheet.png --gene rain --gene smoke
     """
+    from brink.sim.perturbations.catalogue import VisionMissing
+
     genes = _genes(gene)
     check_out(out, ".png", ".jpg", ".jpeg")
     if image is not None and not image.is_file():
@@ -90,12 +96,14 @@ def show(
     echo(out)
 
 
-def _genes(names: list[str] | None) -> list[Gene]:
+def _genes(names: list[str] | None) -> "list[Gene]":
     """Return the named genes in the given order without repetitions; all genes if none is named.
 
     Raises:
         InvalidInput: A gene is unknown.
     """
+    from brink.sim.perturbations.catalogue import CATALOGUE
+
     unknown = [
         FieldError(
             pointer="--gene",

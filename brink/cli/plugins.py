@@ -8,17 +8,7 @@ import typer
 
 from brink.cli.options import AsJson, console, plain_table, print_json
 from brink.search.errors import ConfigError, UnsupportedSpace
-from brink.search.testing import check_algorithm, example_spaces
 from brink.server.errors import nearest
-from brink.server.findings.kind import reported_by
-from brink.server.problems.catalogue import (
-    ALGORITHMS,
-    PROBLEMS,
-    describe_algorithm,
-    describe_problem,
-    make_problem,
-)
-from brink.server.problems.testing import check_problem
 from brink.sim.catalogue import (
     GROUPS,
     REQUIREMENTS,
@@ -28,9 +18,6 @@ from brink.sim.catalogue import (
     plugin_ids,
     plugin_source,
 )
-from brink.sim.driving_systems.option import DRIVING_SYSTEMS
-from brink.sim.testing import check_requirement
-from brink.worker.driving_check import check_driving_system
 
 _BUDGET: Final = 130
 """Simulations of the campaigns that check an algorithm: enough for a few generations of most."""
@@ -71,6 +58,9 @@ def show(
 
     Example: brink plugins show edge@2
     """
+    from brink.server.findings.kind import reported_by
+    from brink.server.problems.catalogue import ALGORITHMS, PROBLEMS, describe_algorithm, describe_problem
+
     if plugin_id in plugin_ids(ALGORITHMS):
         described = describe_algorithm(plugin_id)
     elif plugin_id in plugin_ids(PROBLEMS):
@@ -184,8 +174,17 @@ def _kind(group: str) -> str:
 
 def _checked(group: str, name: str) -> dict[str, Any]:
     """Check one plug-in; return whether it passed, and a description of the result."""
+    from brink.server.problems.catalogue import ALGORITHMS, PROBLEMS
+    from brink.sim.driving_systems.option import DRIVING_SYSTEMS
+
+    checks: Mapping[str, Callable[[str, str], str]] = {
+        REQUIREMENTS: _check_requirement,
+        PROBLEMS: _check_problem,
+        ALGORITHMS: _check_algorithm,
+        DRIVING_SYSTEMS: _check_driving_system,
+    }
     try:
-        words = _CHECKS.get(group, _check_loads)(group, name)
+        words = checks.get(group, _check_loads)(group, name)
     except Exception as error:  # noqa: BLE001  (a plug-in may raise anything; that is what is checked)
         return {"passed": False, "words": f"{type(error).__name__}: {error}"}
     return {"passed": True, "words": words}
@@ -198,16 +197,23 @@ def _check_loads(group: str, name: str) -> str:
 
 
 def _check_requirement(group: str, name: str) -> str:
+    from brink.sim.testing import check_requirement
+
     check_requirement(load_plugin(group, name))  # type: ignore[arg-type]
     return "passed"
 
 
 def _check_problem(group: str, name: str) -> str:
+    from brink.server.problems.catalogue import make_problem
+    from brink.server.problems.testing import check_problem
+
     check_problem(lambda: make_problem(name, {}))
     return "passed, with its simulator"
 
 
 def _check_algorithm(group: str, name: str) -> str:
+    from brink.search.testing import check_algorithm, example_spaces
+
     make: Any = load_plugin(group, name)
     searched = []
     for title, space in example_spaces().items():
@@ -225,13 +231,7 @@ def _check_algorithm(group: str, name: str) -> str:
 
 
 def _check_driving_system(group: str, name: str) -> str:
+    from brink.worker.driving_check import check_driving_system
+
     check = check_driving_system(name)
     return f"passed on {len(check.drives)} streets"
-
-
-_CHECKS: Final[Mapping[str, Callable[[str, str], str]]] = {
-    REQUIREMENTS: _check_requirement,
-    PROBLEMS: _check_problem,
-    ALGORITHMS: _check_algorithm,
-    DRIVING_SYSTEMS: _check_driving_system,
-}

@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 from dataclasses import fields as dataclass_fields
 from inspect import Parameter
 from pathlib import Path
-from typing import Annotated, Any, Final, Self, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, Self, TypeVar, get_type_hints
 
 import typer
 
 from brink.cli.options import fields
-from brink.recordings.camera import CameraModel
-from brink.recordings.measure import Visibility, contradictions
-from brink.recordings.reading import formats_by_name, parse_classes, read_recording, read_settings
-from brink.recordings.recording import ReadOptions, Recording
+from brink.recordings.choices import Visibility, format_names
 from brink.server.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from brink.recordings.recording import ReadOptions, Recording
 
 T = TypeVar("T")
 THRESHOLD: Final = 0.5
@@ -29,7 +29,7 @@ RecordingFormat = Annotated[
         "--format",
         metavar="NAME",
         show_default=False,
-        help=f"Format of the recording: {', '.join(formats_by_name())} (default: recognised by its files).",
+        help=f"Format of the recording: {', '.join(format_names())} (default: recognised by its files).",
     ),
 ]
 
@@ -194,7 +194,7 @@ class GivenRecording(RecordingOptions):
         """From when on a road user should be reported."""
         return Visibility(most_occlusion=self.most_occlusion, least_share=self.least_share)
 
-    def read(self) -> Recording:
+    def read(self) -> "Recording":
         """Return the recording.
 
         Raises:
@@ -202,11 +202,17 @@ class GivenRecording(RecordingOptions):
             RecordingError: The files cannot be used.
             CameraError: The camera cannot be.
         """
+        from brink.recordings.reading import read_recording
+
         if math.isnan(self.threshold):
             raise InvalidInput.at("--threshold", "expected a number, got nan")
         return read_recording(self.detections, self.truth, format=self.format, options=self._options())
 
-    def _options(self) -> ReadOptions:
+    def _options(self) -> "ReadOptions":
+        from brink.recordings.camera import CameraModel
+        from brink.recordings.reading import parse_classes, read_settings
+        from brink.recordings.recording import ReadOptions
+
         options = ReadOptions() if self.calibration is None else read_settings(self.calibration)
         if self.camera is not None:
             if options.camera is not None:
@@ -220,12 +226,14 @@ class GivenRecording(RecordingOptions):
             clip=self.clip,
         )
 
-    def words(self, recording: Recording) -> list[str]:
+    def words(self, recording: "Recording") -> list[str]:
         """Describe in sentences what was read, what was left out, what counts, and what looks wrong.
 
         Args:
             recording: The recording, after it was measured, which counts drives that are too short.
         """
+        from brink.recordings.measure import contradictions
+
         images = [image for drive in recording.drives.values() for image in drive.images.values()]
         scores = list(detection_scores(recording))
         counted = sum(score >= self.threshold for score in scores)
@@ -251,7 +259,7 @@ class GivenRecording(RecordingOptions):
         return lines
 
 
-def detection_scores(recording: Recording) -> Iterable[float]:
+def detection_scores(recording: "Recording") -> Iterable[float]:
     """Yield the score of each detection of a recording."""
     for drive in recording.drives.values():
         for detections in (

@@ -28,8 +28,8 @@ from brink.cli.options import (
     write_json,
 )
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.follow_ups.limits import DEFAULT_REPEATS
 from brink.server.findings.boundary.repeat_views import RepeatedSolution, RepeatsView
-from brink.server.findings.boundary.repeats import DEFAULT_REPEATS, repeats_table
 from brink.server.findings.finding import Findings
 from brink.server.states import CampaignStatus
 
@@ -157,6 +157,8 @@ async def repeat_finished(session: CommandSession, campaign: str, times: int) ->
 
 def _print_repeats(screen: Console, view: RepeatsView) -> None:
     """Print the results of the repeats, and the solutions most likely to be unsafe."""
+    from brink.server.findings.boundary.repeats import repeats_table
+
     screen.print(view.words, soft_wrap=True)
     print_table(screen, repeats_table(view), SOLUTIONS_SHOWN, more="--json prints them all")
 

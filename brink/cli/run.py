@@ -6,17 +6,14 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.text import Text
 
 from brink.api.live import CampaignDisplay, Steps, failures_of
-from brink.api.results import fetch_archive
-from brink.api.runs import CampaignRun
 from brink.cli.findings import print_findings, print_steps
 from brink.cli.follow_ups import ask_by_default
-from brink.cli.kind_files import KindFiles, read_files
 from brink.cli.local import CommandSession, RunOptions, run_to_end
 from brink.cli.options import (
     RESULTS,
@@ -35,18 +32,16 @@ from brink.cli.options import (
     read_odd,
 )
 from brink.cli.repeats import repeat_finished, write_repeats
-from brink.cli.results_folder import results_folder, write_report
-from brink.report.figures import Drawing, draw_figures, write_replays
 from brink.search.sequential import exact_interval
-from brink.server.api.outcomes import OutcomesView
-from brink.server.api.schemas import Progress
+from brink.server.api.schemas import OutcomesView, Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
-from brink.server.campaigns.plan import check_submission
 from brink.server.findings.boundary.repeat_views import RepeatsView
 from brink.server.findings.finding import Findings
 from brink.server.findings.words import percent
-from brink.server.problems.catalogue import check_extra, is_baseline
 from brink.server.states import CampaignStatus
+
+if TYPE_CHECKING:
+    from brink.cli.kind_files import KindFiles
 
 TRACE_TIMEOUT_S = 30.0
 
@@ -79,6 +74,10 @@ def run(
 
     Example: brink run examples/quickstart.yaml --workers 2
     """
+    from brink.api.runs import CampaignRun
+    from brink.server.campaigns.plan import check_submission
+    from brink.server.problems.catalogue import check_extra
+
     body = read_campaign_file(file).within_odd(read_odd(odd))
     options = RunOptions(
         file=file,
@@ -117,6 +116,8 @@ async def _finish(
     replays: int,
 ) -> bool:
     """Write and print the results of a finished campaign; return whether they are complete."""
+    from brink.cli.results_folder import results_folder, write_report
+
     folder = results_folder(options.out, body.name, progress.id)
     await ask_by_default(session, progress.id)
     report = await _write_all(session, progress, folder, pictures=pictures, replays=replays)
@@ -153,7 +154,7 @@ class Report:
     """
 
     findings: Findings
-    kinds: Mapping[str, KindFiles]
+    kinds: "Mapping[str, KindFiles]"
     files: list[Path]
     outcomes: OutcomesView
 
@@ -162,6 +163,10 @@ async def _write_all(
     session: CommandSession, progress: Progress, folder: Path, *, pictures: bool, replays: int
 ) -> Report:
     """Write results, comparison and figures of a campaign; Ctrl-C skips the remaining figures."""
+    from brink.api.results import fetch_archive
+    from brink.cli.kind_files import read_files
+    from brink.report.figures import Drawing, draw_figures, write_replays
+
     api, campaign = session.api, progress.id
     folder.mkdir(parents=True, exist_ok=True)
     with Steps(session.screen, "collecting the findings") as steps:
@@ -234,6 +239,8 @@ def _summary(
 def _print_summary(
     session: CommandSession, body: CampaignBody, progress: Progress, report: Report, folder: Path
 ) -> None:
+    from brink.server.problems.catalogue import is_baseline
+
     screen, place = session.screen, database_option(session.settings)
     share = f"{progress.unsafe / progress.evaluated:.0%}" if progress.evaluated else "0%"
     if is_baseline(body.algorithm.id) and body.start_from is None:

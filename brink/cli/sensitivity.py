@@ -3,14 +3,12 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import yaml
 from rich.table import Table
 
-from brink.api.results import fetch_archive
-from brink.cli.experiment_run import repeats_of, run_experiment
 from brink.cli.local import RunOptions
 from brink.cli.options import (
     RESULTS,
@@ -32,12 +30,14 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
-from brink.search.analysis.boundary import P_THS, RADII, Rescored, by_p_th, by_radius
-from brink.search.analysis.comparison import lines_of, values_of
+from brink.search.analysis.choices import P_THS, RADII
 from brink.search.analysis.paper import D_THS, PAPER_T_BS, Measure
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.experiments.body import ExperimentBody, parse_experiment
+
+if TYPE_CHECKING:
+    from brink.search.analysis.boundary import Rescored
 
 _USUAL_RADII = ",".join(map(str, RADII))
 _USUAL_P_THS = ",".join(map(str, P_THS))
@@ -72,6 +72,9 @@ def rescore(
 
     Example: brink sensitivity rescore 3f2a --picture sensitivity.png
     """
+    from brink.api.results import fetch_archive
+    from brink.search.analysis.boundary import by_p_th, by_radius
+
     check_picture(picture)
     wanted_radii = _numbers("--radius", radii, low=0.0, high=1.0, closed=True)
     wanted_p_ths = _numbers("--p-th", p_ths, low=0.0, high=1.0, closed=False)
@@ -144,6 +147,9 @@ def rerun(
 
     Example: brink sensitivity rerun examples/quickstart.yaml --parameter population_size --values 5,10,20 --seeds 5
     """
+    from brink.cli.experiment_run import repeats_of, run_experiment
+    from brink.search.analysis.comparison import lines_of, values_of
+
     for name, value, known in (("--t-b", t_b, PAPER_T_BS), ("--d-th", d_th, D_THS)):
         if value not in known:
             raise InvalidInput.at(name, f"expected one of {', '.join(map(str, known))}, got {value:g}")
@@ -235,7 +241,7 @@ def _numbers(option: str, text: str, *, low: float, high: float, closed: bool) -
     return found
 
 
-def _table(name: str, found: list[Rescored], own: float) -> Table:
+def _table(name: str, found: "list[Rescored]", own: float) -> Table:
     columns = (name, "neighbours", "on the boundary", "distinct", "strict")
     rows = [
         (

@@ -9,14 +9,6 @@ from typing import Annotated
 import typer
 
 from brink.cli.options import Database, LogFormatOption, LogLevelOption, console, settings_with
-from brink.server.runtime.coordinator import (
-    CoordinatorServer,
-    allow_many_open_files,
-    freeze_loaded_objects,
-    listen,
-    url_of,
-)
-from brink.server.runtime.database import prepare_database, shown_url
 from brink.sim.catalogue import import_plugin_modules
 from brink.worker.log import LogFormat, configure_logging
 
@@ -40,6 +32,15 @@ def serve(
 
     Example: brink serve --database postgresql://brink:secret@db/brink --port 8700
     """
+    from brink.server.runtime.coordinator import (
+        CoordinatorServer,
+        allow_many_open_files,
+        freeze_loaded_objects,
+        listen,
+        url_of,
+    )
+    from brink.server.runtime.database import prepare_database, shown_url
+
     settings = settings_with(
         database=database,
         host=host,

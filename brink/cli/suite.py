@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Final, ParamSpec
+from typing import TYPE_CHECKING, Annotated, Final, ParamSpec
 
 import typer
 from rich.console import Console
@@ -17,8 +17,6 @@ from rich.console import Console
 from brink.api.client import Api
 from brink.api.following import Silent, follow
 from brink.api.live import Steps
-from brink.api.results import UNDRAWABLE, fetch_requirements, trace_of
-from brink.api.suites import Chosen, NewEntries, find_entries, run_suite, suite_results
 from brink.api.terminal import echo
 from brink.cli.findings import print_table
 from brink.cli.local import CommandSession, run_locally, stopping
@@ -37,29 +35,15 @@ from brink.cli.options import (
     settings_with,
     with_api,
 )
-from brink.report.campaign import write_page
-from brink.report.suite import junit_xml, markdown, matrix_page
 from brink.server.errors import InvalidInput
-from brink.server.findings.suite.table import cases_table
-from brink.server.suites.campaigns import SystemRun, cases_of, prepare_runs, system_name
-from brink.server.suites.file import (
-    SuiteFile,
-    add_entries,
-    read_suite,
-    remove_entries,
-    rename_entry,
-    write_suite,
-)
-from brink.server.suites.matrix import matrix_of
-from brink.server.suites.results import (
-    MOST_RESULT_BYTES,
-    CaseResult,
-    SuiteResults,
-    parse_results,
-    sorted_cases,
-)
 from brink.user_file import read_text
 from brink.worker.printable import printable
+
+if TYPE_CHECKING:
+    from brink.api.suites import Chosen
+    from brink.server.suites.campaigns import SystemRun
+    from brink.server.suites.file import SuiteFile
+    from brink.server.suites.results import CaseResult, SuiteResults
 
 USAGE: Final = 2
 PAIRS: Final = ("confirmed", "all")
@@ -131,7 +115,9 @@ Named = Annotated[
 
 def _chosen(
     pairs: str | None, violations: ViolationsTaken | None, solutions: str | None, *, thresholds: bool
-) -> Chosen:
+) -> "Chosen":
+    from brink.api.suites import Chosen
+
     if pairs not in (None, *PAIRS) and not all(map(PAIR.fullmatch, str(pairs).split(","))):
         raise InvalidInput.at(
             "--pairs", f"expected {' or '.join(PAIRS)}, or pairs such as 12-40,3-17; got {pairs!r}"
@@ -196,6 +182,8 @@ def add(
 
     Example: brink suite add hazards.yaml 3f2a --solutions 17 --name late-braking
     """
+    from brink.server.suites.file import read_suite
+
     read_suite(file)
     _add(
         file,
@@ -211,13 +199,17 @@ def add(
 def _add(
     file: Path,
     campaigns: Sequence[str],
-    chosen: Chosen,
+    chosen: "Chosen",
     name: str,
     server: str | None,
     database: str | None,
     *,
     new: bool,
 ) -> None:
+    from brink.api.suites import NewEntries, find_entries
+    from brink.server.suites.campaigns import system_name
+    from brink.server.suites.file import add_entries, read_suite, write_suite
+
     screen = console()
 
     async def work(api: Api) -> list[NewEntries]:
@@ -264,6 +256,8 @@ def remove(
 
     Example: brink suite remove hazards.yaml late-braking
     """
+    from brink.server.suites.file import remove_entries
+
     left = remove_entries(file, names)
     print_line(f"{file}: {len(left.entries)} entries left")
 
@@ -279,6 +273,8 @@ def rename(
 
     Example: brink suite rename hazards.yaml hit-a-pedestrian-17 late-braking
     """
+    from brink.server.suites.file import rename_entry
+
     rename_entry(file, name, new)
     print_line(f"{file}: {name} is now {new}")
 
@@ -290,6 +286,9 @@ def show(file: SuitePath, as_json: AsJson = False) -> None:
 
     Example: brink suite show hazards.yaml
     """
+    from brink.server.suites.campaigns import cases_of
+    from brink.server.suites.file import read_suite
+
     read = read_suite(file)
     if as_json:
         print_json(read.model_dump(mode="json"))
@@ -362,6 +361,14 @@ def run(
 
     Example: brink suite run hazards.yaml --set detector=onnx:new.onnx --junit hazards.xml
     """
+    from brink.api.suites import suite_results
+    from brink.report.campaign import write_page
+    from brink.report.suite import junit_xml, markdown
+    from brink.server.findings.suite.table import cases_table
+    from brink.server.suites.campaigns import cases_of, prepare_runs
+    from brink.server.suites.file import read_suite
+    from brink.server.suites.results import sorted_cases
+
     for option, path, endings in (
         ("--junit", junit, (".xml",)),
         ("--markdown", comment, (".md",)),
@@ -403,7 +410,7 @@ def run(
     raise typer.Exit(int(not (results.passed and complete)))
 
 
-def _tagged(file: SuiteFile, tag: str | None) -> SuiteFile:
+def _tagged(file: "SuiteFile", tag: str | None) -> "SuiteFile":
     if tag is None:
         return file
     entries = [entry for entry in file.entries if tag in entry.tags]
@@ -413,7 +420,7 @@ def _tagged(file: SuiteFile, tag: str | None) -> SuiteFile:
     return file.model_copy(update={"entries": entries})
 
 
-def _notes(screen: Console, runs: Sequence[SystemRun]) -> None:
+def _notes(screen: Console, runs: "Sequence[SystemRun]") -> None:
     for run in runs:
         if run.unaffected:
             names = " and ".join(run.unaffected)
@@ -421,7 +428,7 @@ def _notes(screen: Console, runs: Sequence[SystemRun]) -> None:
 
 
 def _simulate(
-    runs: Sequence[SystemRun],
+    runs: "Sequence[SystemRun]",
     screen: Console,
     workers: int,
     database: str | None,
@@ -430,8 +437,11 @@ def _simulate(
     label: str,
     resume: bool,
     pictures: Path | None,
-) -> tuple[list[CaseResult], bool, dict[str, str]]:
+) -> "tuple[list[CaseResult], bool, dict[str, str]]":
     """Simulate a suite; return the verdicts, whether all simulations have ended, and pictures by drive."""
+    from brink.api.suites import run_suite
+    from brink.server.suites.results import CaseResult
+
     if server is None:
 
         async def work(session: CommandSession) -> tuple[list[CaseResult], bool, dict[str, str]]:
@@ -456,9 +466,10 @@ def _simulate(
 
 
 async def _draw(
-    api: Api, cases: Sequence[CaseResult], folder: Path | None, screen: Console, *, elsewhere: bool
+    api: Api, cases: "Sequence[CaseResult]", folder: Path | None, screen: Console, *, elsewhere: bool
 ) -> dict[str, str]:
     """Draw each drive that is not as expected; return the files by drive."""
+    from brink.api.results import UNDRAWABLE, fetch_requirements, trace_of
     from brink.pictures import render  # heavy, and only for pictures
 
     failing = [case for case in cases if not case.passed and case.solution is not None]
@@ -486,7 +497,9 @@ def _file_name(name: str) -> str:
     return "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in name)[:100]
 
 
-def _read_results(path: Path, option: str) -> SuiteResults:
+def _read_results(path: Path, option: str) -> "SuiteResults":
+    from brink.server.suites.results import MOST_RESULT_BYTES, parse_results
+
     try:
         return parse_results(read_text(path, MOST_RESULT_BYTES), f"{option} {path}")
     except (OSError, UnicodeDecodeError) as error:
@@ -508,6 +521,10 @@ def matrix(
 
     Example: brink suite matrix 1.0.json 1.1.json --out matrix.html
     """
+    from brink.report.campaign import write_page
+    from brink.report.suite import matrix_page
+    from brink.server.suites.matrix import matrix_of
+
     check_out(out, ".html", ".png")
     runs = [_read_results(path, "RESULTS") for path in results]
     drawn = matrix_of(runs)

@@ -24,7 +24,7 @@ from brink.cli.options import (
     with_api,
 )
 from brink.report.thresholds import draw_thresholds
-from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED
+from brink.server.campaigns.follow_ups.limits import MOST_PAIRS_FOLLOWED
 from brink.server.findings.finding import Finding
 from brink.server.findings.follow_ups import FollowUpView
 from brink.server.findings.thresholds.views import ThresholdsView

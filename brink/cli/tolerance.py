@@ -11,7 +11,6 @@ import typer
 from brink.api.client import Api
 from brink.cli.detector import Check, EpisodesCheck, Format, Output, RecordingCheck, chosen_format
 from brink.cli.findings import print_table, show_kind
-from brink.cli.kind_files import draw_tolerance
 from brink.cli.options import (
     AsJson,
     CampaignId,
@@ -23,8 +22,8 @@ from brink.cli.options import (
     print_json,
     with_api,
 )
-from brink.cli.recording_options import GivenRecording, RecordingOptions, with_recording
-from brink.recordings.reading import formats_by_name
+from brink.cli.recording_options import RecordingOptions, with_recording
+from brink.recordings.choices import format_names
 from brink.report.tables import markdown_rows
 from brink.report.tolerance import requirement_document, tolerances_beside
 from brink.server.api.schemas import CampaignView
@@ -44,7 +43,7 @@ def tolerance(
             metavar="NAME",
             show_default=False,
             help=f"What is printed or written: {', '.join(Format)} (default: by the name of --out, else table). Or "
-            f"the format of --detections: {', '.join(formats_by_name())} (default: recognised). Applies to both.",
+            f"the format of --detections: {', '.join(format_names())} (default: recognised). Applies to both.",
         ),
     ] = None,
     out: Annotated[
@@ -142,6 +141,8 @@ def tolerance(
 
     Example: brink tolerance 3f2a --episodes 9c01 --gate
     """
+    from brink.cli.recording_options import GivenRecording
+
     if coco is not None:
         if detections is not None or recording.truth is not None:
             raise InvalidInput.at("--coco", "cannot be combined with --detections or --truth")
@@ -216,20 +217,20 @@ def _formats(given: Sequence[str], detections: Path | None) -> tuple[Format | No
     written: Format | None = None
     recording: str | None = None
     for name in given:
-        is_recorded = detections is not None and name in formats_by_name()
+        is_recorded = detections is not None and name in format_names()
         if is_recorded and name in RESULTS_FORMATS:
             is_recorded = detections is not None and detections.suffix.lower() != f".{name}"
         if is_recorded and recording is None:
             recording = name
         elif name in RESULTS_FORMATS and written is None:
             written = Format(name)
-        elif name in RESULTS_FORMATS or name in formats_by_name():
+        elif name in RESULTS_FORMATS or name in format_names():
             expected = "it once" if detections is not None else "the format of a recording with --detections"
             raise InvalidInput.at("--format", f"{name}: expected {expected}")
         else:
             raise InvalidInput.at(
                 "--format",
-                f"expected one of {', '.join(Format)}, or of a recording {', '.join(formats_by_name())}; got "
+                f"expected one of {', '.join(Format)}, or of a recording {', '.join(format_names())}; got "
                 f"{name!r:.40}",
             )
     return written, recording
@@ -242,6 +243,8 @@ def _show(campaign: str, wanted: Output, server: str | None, database: str | Non
         path = f"/campaigns/{campaign}/tolerance"
         view = await api.read(ToleranceView, path)
         if wanted.picture is not None:
+            from brink.cli.kind_files import draw_tolerance
+
             await asyncio.to_thread(draw_tolerance, view, wanted.picture)
         match wanted.form:
             case Format.TABLE | Format.HTML:

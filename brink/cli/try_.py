@@ -6,29 +6,28 @@ import shutil
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from brink.cli.options import CampaignFile, about_file, console, named_values, plain_table
 from brink.search.errors import SpaceError
-from brink.search.parameters import Categorical
-from brink.search.space import SearchSpace
 from brink.server.campaigns.body import read_campaign_file
-from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
-from brink.server.problems.command import Command
-from brink.server.problems.fmu import Fmu
-from brink.sim.adapters.command.attempt import Attempt
-from brink.sim.adapters.command.simulator import CommandSimulator
 from brink.sim.episode import EpisodeSpec, Verdict
 from brink.sim.errors import SimulatorError
 from brink.sim.programs.installed import COMMANDS_VARIABLE
-from brink.sim.trace import Trace
 from brink.worker.process import EpisodeProcess, episode_result
 from brink.worker.wire import JobFailed
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from brink.search.space import SearchSpace
+    from brink.server.problems.command import Command
+    from brink.server.problems.fmu import Fmu
+    from brink.sim.adapters.command.attempt import Attempt
+    from brink.sim.adapters.command.simulator import CommandSimulator
 
 FOLDER: Final = Path("brink-try")
 _SHOWN_LINES: Final = 20
@@ -61,6 +60,13 @@ def try_(
 
     Example: brink try cut-in.yaml --set delay=1.5
     """
+    import numpy as np
+
+    from brink.server.campaigns.plan import make_checked_plan
+    from brink.server.problems.command import Command
+    from brink.server.problems.fmu import Fmu
+    from brink.sim.adapters.command.simulator import CommandSimulator
+
     body = read_campaign_file(file)
     with about_file(file):
         problem = make_checked_plan(body).problem
@@ -108,14 +114,14 @@ def try_(
         screen.print(words, markup=False)
 
 
-def _attempt(simulator: CommandSimulator, spec: EpisodeSpec, folder: Path) -> Attempt:
+def _attempt(simulator: "CommandSimulator", spec: EpisodeSpec, folder: Path) -> "Attempt":
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     (folder / _MARK).touch()
     return simulator.attempt(spec, folder.absolute())
 
 
-def _chosen(space: SearchSpace, given: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def _chosen(space: "SearchSpace", given: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the values of all parameters, by component: those that were given, others from the middle.
 
     Those that are absent with the chosen ones are left out.
@@ -123,6 +129,8 @@ def _chosen(space: SearchSpace, given: dict[str, Any]) -> dict[str, dict[str, An
     Raises:
         InvalidInput: A name is unknown.
     """
+    from brink.search.parameters import Categorical
+
     chosen: dict[str, dict[str, Any]] = {}
     left = dict(given)
     for component in space.components:
@@ -141,8 +149,10 @@ def _chosen(space: SearchSpace, given: dict[str, Any]) -> dict[str, dict[str, An
     return chosen
 
 
-def _try_fmu(problem: Fmu, spec: EpisodeSpec, folder: Path, title: str) -> None:
+def _try_fmu(problem: "Fmu", spec: EpisodeSpec, folder: Path, title: str) -> None:
     """Run an episode of an FMU, twice unless it takes a seed, in a process of its own, and show it."""
+    from brink.sim.trace import Trace
+
     screen = console()
     screen.print(f"fmu: {problem.params.fmu}", soft_wrap=True, markup=False)
     with tempfile.TemporaryDirectory(prefix="brink-") as commands:
@@ -171,11 +181,11 @@ def _try_fmu(problem: Fmu, spec: EpisodeSpec, folder: Path, title: str) -> None:
 
 
 def _show(
-    time_s: NDArray[Any],
-    signals: Mapping[str, NDArray[Any]],
-    margins: Mapping[str, NDArray[Any]],
+    time_s: "NDArray[Any]",
+    signals: "Mapping[str, NDArray[Any]]",
+    margins: "Mapping[str, NDArray[Any]]",
     verdicts: Mapping[str, Verdict],
-    problem: Command | Fmu,
+    problem: "Command | Fmu",
     folder: Path,
     title: str,
 ) -> None:

@@ -16,6 +16,7 @@ from typing import Any, Final, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.guard.choices import DEFAULT_PROBLEM
 from brink.guard.features import ALL_FEATURES, FEATURES_ID
 from brink.packed import read_arrays
 from brink.search.analysis.guard_training import DriveSeries
@@ -36,7 +37,6 @@ OnProgress: TypeAlias = Callable[[int, int], None]
 """Called with the number of completed drives and their total."""
 HalfArray: TypeAlias = NDArray[np.float16]
 
-DEFAULT_PROBLEM: Final = PluginChoice(id="urban-injected@1")
 SIMULATORS: Final = ("brink-drive@3", "brink-drive-errors@2")
 """Ids of the simulators whose drives can be recorded."""
 MOST_DIFFERENT: Final = 0.02

@@ -25,8 +25,9 @@ from typing import Any, Final, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.guard.choices import FALSE_ALARMS, Sensor
 from brink.guard.drives import Drive
-from brink.guard.model import GuardModel, Sensor
+from brink.guard.model import GuardModel, feature_names
 from brink.guard.monitor import Alarm
 from brink.guard.time_to_collision import box_times_s, range_times_s
 from brink.search.analysis.folds import Division, divisions
@@ -40,8 +41,6 @@ from brink.sim.driving.interface import PERCEPTION_STEP_S
 LEADS_S: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)
 LEAD_S: Final = 1.5
 """The lead time that counts."""
-FALSE_ALARMS: Final = 0.05
-"""The share of safe drives with an alarm at which predictors are compared."""
 MORE_FALSE_ALARMS: Final = (0.1, 0.2)
 """Further such shares."""
 FOLDS: Final = (10, 5, 3)
@@ -251,7 +250,7 @@ class _Watched:
 
     @classmethod
     def of(cls, drive: Drive, model: GuardModel) -> "_Watched":
-        series = drive.series(model.requirements, len(model.sensor.features))
+        series = drive.series(model.requirements, len(feature_names(model.sensor)))
         return cls(
             series=series, begins_s=drive.begins_s, violated_at_s=drive.first_violation_s(model.requirements)
         )

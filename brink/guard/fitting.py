@@ -6,9 +6,10 @@ from typing import Any, Final
 import numpy as np
 
 from brink import __version__
+from brink.guard.choices import FALSE_ALARMS, Sensor
 from brink.guard.drives import Drive
-from brink.guard.evaluation import FALSE_ALARMS, confirmed, peak, threshold_at
-from brink.guard.model import AlarmRule, GuardModel, Sensor, calibrated_probabilities
+from brink.guard.evaluation import confirmed, peak, threshold_at
+from brink.guard.model import AlarmRule, GuardModel, calibrated_probabilities, feature_names
 from brink.guard.seen import ABOUT, SeenDrives
 from brink.search.analysis.guard_training import fit_horizons
 from brink.search.streams import Stream, generator
@@ -51,7 +52,7 @@ def fit(
         MissingExtra: scikit-learn is not installed.
         Conflict: There are too few drives with or without a violation.
     """
-    series = [drive.series(requirements, len(sensor.features)) for drive in drives]
+    series = [drive.series(requirements, len(feature_names(sensor))) for drive in drives]
     try:
         fitted = fit_horizons(series, horizons_s, generator(seed, Stream.GUARD), on_progress)
     except ValueError as error:

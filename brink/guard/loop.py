@@ -19,6 +19,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
+from brink.guard.choices import LIMITS
 from brink.guard.drives import check_problem, random_specs
 from brink.guard.sight import Reported, Sight, sight_of
 from brink.search.analysis.guard_drives import GuardedDrives, GuardWorth, guard_worth
@@ -33,13 +34,9 @@ from brink.worker.pool import process_pool, single_threaded
 OnProgress = Callable[[str, int, int], None]
 """Called with the name of a part, its completed drives and their total."""
 
-FIRST_SEED: Final = 9001
-"""Campaigns usually have small seeds, so that these drives are fresh."""
 MOST_LOST: Final = 0.05
 """Largest loss of mean distance, in drives that are safe without the guard, with which a condition is recommended. A
 prevented collision lets the car drive on, so a limit on the distance of all drives would hardly ever bind."""
-LIMITS: Final = (0.001, 0.999)
-"""Smallest and largest threshold."""
 _ODDS: Final = (1 / 64, 1 / 16, 0.25, 0.5, 1.0, 2.0, 4.0)
 _CHUNK: Final = 4
 _Result = TypeVar("_Result")

@@ -12,13 +12,13 @@ It holds no code: everything that is read is checked, and a damaged file is refu
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
 
 from brink.forest import FeatureArray, FloatArray, Forest
+from brink.guard.choices import Sensor
 from brink.guard.features import ALL_FEATURES, FEATURES, FEATURES_ID
 from brink.sim.errors import GuardFileError
 from brink.sim.guard.option import MAX_FILE_BYTES
@@ -30,18 +30,9 @@ MAX_CONFIRM_STEPS: Final = 50
 MAX_HOLD_S: Final = 600.0
 
 
-class Sensor(StrEnum):
-    """The sensors of a car besides its obstacle detector."""
-
-    BOXES = "boxes"
-    """Nothing."""
-    RANGE = "range"
-    """A coarse forward range sensor."""
-
-    @property
-    def features(self) -> tuple[str, ...]:
-        """Names of the features of such a car, in order."""
-        return FEATURES if self is Sensor.BOXES else ALL_FEATURES
+def feature_names(sensor: Sensor) -> tuple[str, ...]:
+    """Return the names of the features of a car with a sensor, in order."""
+    return FEATURES if sensor is Sensor.BOXES else ALL_FEATURES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,7 +134,7 @@ class GuardModel:
         A longer horizon never has a smaller probability than a shorter one.
 
         Args:
-            features: Feature vectors in the order of ``sensor.features``, shape ``(m, features)``.
+            features: Feature vectors in the order of `feature_names`, shape ``(m, features)``.
         """
         return calibrated_probabilities(self.forest.scores(features), self.calibration)
 
@@ -153,7 +144,7 @@ class GuardModel:
         document = {
             "format": FORMAT,
             "version": VERSION,
-            "features": {"id": FEATURES_ID, "names": list(self.sensor.features)},
+            "features": {"id": FEATURES_ID, "names": list(feature_names(self.sensor))},
             "sensor": str(self.sensor),
             "requirements": list(self.requirements),
             "horizons_s": list(self.horizons_s),
@@ -190,7 +181,7 @@ class GuardModel:
     def _of(cls, document: Mapping[str, Any]) -> Self:
         sensor = Sensor(document["sensor"])
         features = document["features"]
-        if features["id"] != FEATURES_ID or tuple(features["names"]) != sensor.features:
+        if features["id"] != FEATURES_ID or tuple(features["names"]) != feature_names(sensor):
             raise GuardFileError(
                 f"expected the features {FEATURES_ID}, got {features['id']!r:.80}: fit the guard again"
             )
@@ -199,7 +190,7 @@ class GuardModel:
             sensor=sensor,
             requirements=_words(document["requirements"]),
             horizons_s=tuple(float(one) for one in document["horizons_s"]),
-            forest=Forest.of(document["forest"], len(sensor.features)),
+            forest=Forest.of(document["forest"], len(feature_names(sensor))),
             calibration=np.array(document["calibration"], np.float64),
             alarm=AlarmRule(**document["alarm"]),
             about=about if isinstance(about, dict) else {},

@@ -4,8 +4,9 @@ from collections import deque
 from dataclasses import replace
 from pathlib import Path
 
+from brink.guard.choices import Sensor
 from brink.guard.features import FeatureExtractor
-from brink.guard.model import AlarmRule, GuardModel, Sensor
+from brink.guard.model import AlarmRule, GuardModel
 from brink.sim.driving.interface import PERCEPTION_STEP_S, Command, Observation, PlanState, Route
 from brink.sim.guard.interface import Guard, GuardReading, KnownConditions, RangeScan
 

@@ -18,8 +18,8 @@ from brink.plots.style import (
     new_figure,
     style_axes,
 )
-from brink.server.campaigns.detector_check import CheckResult
 from brink.server.findings.tolerances.views import DetectorView
+from brink.server.states import CheckResult
 
 MOST_ROWS: Final = 60
 _ROW_PX, _TOP_PX, _BOTTOM_PX, _LEFT_PX, _RIGHT_PX = 34, 170, 70, 640, 240

@@ -28,10 +28,10 @@ from brink.plots.style import (
     style_axes,
     style_shares,
 )
-from brink.search.algorithms.repeats import Conclusion
 from brink.search.analysis.boundary import Rescored
 from brink.search.analysis.monitor_evaluation import MAJORITY, MONITOR, MonitorEvaluation, Predictor
 from brink.search.analysis.statistics import mean_interval
+from brink.search.conclusions import Conclusion
 
 MAX_POINTS: Final = 80
 """Maximum number of solutions drawn; a larger set is thinned evenly."""

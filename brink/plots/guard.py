@@ -6,10 +6,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from brink.guard.choices import FALSE_ALARMS
 from brink.guard.evaluation import (
     ALWAYS,
     BOX_TTC,
-    FALSE_ALARMS,
     GUARD,
     LEAD_S,
     LEADS_S,

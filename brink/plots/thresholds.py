@@ -25,7 +25,8 @@ from brink.plots.style import (
     show_percent,
     style_axes,
 )
-from brink.search.thresholds import HIGH, LOW, Outcome
+from brink.search.conclusions import Outcome
+from brink.search.thresholds import HIGH, LOW
 from brink.server.findings.thresholds.views import DotView, ThresholdsView, ThresholdView
 
 MOST_PANELS: Final = 30

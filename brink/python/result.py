@@ -34,7 +34,7 @@ from brink.python.picture import Picture
 from brink.python.synchronous import Synchronous, synchronous_method
 from brink.report.campaign import campaign_report, write_page
 from brink.report.figures import VIOLATION_TYPES, campaign_figure, marked_pairs
-from brink.report.kind_pictures import MOST_PAIRS as MOST_SHOWN
+from brink.report.limits import MOST_PAIRS as MOST_SHOWN
 from brink.report.pair_pictures import headline, write_pair
 from brink.report.violations import figure_types
 from brink.search.errors import TooManyPairs

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from brink.recordings.choices import TYPES
 from brink.recordings.recording import RecordingError
 from brink.search.streams import Stream, generator
 from brink.sim.driving.interface import PERCEPTION_STEP_S, ObstacleLabel
@@ -53,8 +54,6 @@ PRIOR: Final = 10.0
 REPLICATES: Final = 20
 FEWEST_DRIVES: Final = 5
 """With fewer drives, random weights do not show how uncertain a fit is."""
-TYPES: Final = ("misses", "delays", "places", "labels", "ghosts")
-"""Types of errors that can be left out of a fit."""
 
 IntArray: TypeAlias = NDArray[np.int64]
 _DECIMALS: Final = 9

@@ -35,8 +35,9 @@ from brink.report.campaign_words import (
 )
 from brink.report.detector import COLUMNS, NUMBERS, evidence, row_of, small_print
 from brink.report.figures import Drawing
-from brink.report.kind_pictures import MOST_PAIRS, KindPictures, draw_pictures, read_pictures
-from brink.report.text import page_template
+from brink.report.kind_pictures import KindPictures, draw_pictures, read_pictures
+from brink.report.limits import MOST_PAIRS
+from brink.report.page import page_template
 from brink.server.findings.finding import Term
 from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.tolerances.views import DetectorView

@@ -19,10 +19,9 @@ from brink.search.space import FloatArray
 from brink.server.campaigns.follow_ups.question import question_of
 from brink.server.findings.finding import Role, Term
 from brink.server.findings.table import share_text
-from brink.server.findings.words import counted, full_sentence
+from brink.server.findings.words import as_sentence, counted, full_sentence
 from brink.server.problems.base import Problem, SimulatedProblem
 from brink.server.problems.catalogue import DISTRIBUTION, ODD, is_baseline
-from brink.server.problems.changes import as_sentence
 from brink.server.states import CampaignStatus, OutcomeKind, Selection
 from brink.sim.catalogue import REQUIREMENTS, load_plugin
 from brink.sim.errors import SimulatorError

@@ -7,11 +7,12 @@ from typing import Final
 
 from brink import __version__
 from brink.report.episode_strips import Strip
-from brink.report.text import markdown_text, page_template, table_row
-from brink.server.campaigns.detector_check import CheckResult
+from brink.report.page import page_template
+from brink.report.text import markdown_text, table_row
 from brink.server.csv_text import csv_text
 from brink.server.findings.tolerances.views import DetectorCell, DetectorView
-from brink.server.problems.changes import as_sentence
+from brink.server.findings.words import as_sentence
+from brink.server.states import CheckResult
 
 TICKS: Final = (0.0, 0.25, 1.0)
 """Shares of drives that a bar's axis names, besides the limit."""

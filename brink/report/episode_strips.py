@@ -13,9 +13,9 @@ from PIL import Image as PillowImage
 from brink.recordings.camera import CameraModel
 from brink.recordings.measure import ObservedDrive
 from brink.recordings.recording import Image, RecordedDrive, RecordingError, Sides
-from brink.server.campaigns.detector_check import CheckResult
 from brink.server.findings.tolerances.views import DetectorCell, DetectorView
-from brink.server.problems.changes import as_sentence
+from brink.server.findings.words import as_sentence
+from brink.server.states import CheckResult
 from brink.sim.urban.detection_errors import ErrorType, Target
 from brink.sim.urban.error_meter import Sample, Span
 from brink.user_file import read_file

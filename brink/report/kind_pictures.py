@@ -17,6 +17,7 @@ from brink.report.campaign_sections import Album, Article, Section
 from brink.report.combinations import draw_chains
 from brink.report.comparison import compared_archives
 from brink.report.figures import Drawing, campaign_figure, write_replays
+from brink.report.limits import MOST_PAIRS
 from brink.report.pair_pictures import write_pair
 from brink.report.rate import draw_rate
 from brink.report.thresholds import draw_thresholds
@@ -31,10 +32,8 @@ from brink.server.findings.pairs.views import PairsView, PairView, SideView
 from brink.server.findings.pairs.words import extent_words
 from brink.server.findings.tolerances.views import ToleranceView
 from brink.server.findings.violations.views import TypeView, Violations
-from brink.server.findings.words import counted
-from brink.server.problems.changes import as_sentence
+from brink.server.findings.words import as_sentence, counted
 
-MOST_PAIRS: Final = 6
 OTHERS_PAIRS: Final = 2
 """Maximum number of pairs drawn if the search had another purpose."""
 TYPES_DRAWN: Final = 4

@@ -16,14 +16,14 @@ from brink.api.results import (
     run_episode,
 )
 from brink.pictures import DrivePair, Side, render_pair
+from brink.report.limits import FILMS
 from brink.server.api.schemas import CampaignView
 from brink.server.campaigns.plan import make_plan
 from brink.server.findings.pairs.views import PairsView, PairView
+from brink.server.findings.words import as_sentence
 from brink.server.problems.base import Problem
-from brink.server.problems.changes import as_sentence
 from brink.sim.trace import VIOLATED_AT_S
 
-FILMS: Final = (".mp4", ".gif")
 _MOST_LETTERS: Final = 230
 """A longer headline is cut to the change alone."""
 

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from typing import Final
 from xml.etree import ElementTree as Xml
 
-from brink.report.text import markdown_text, page_template, table_row
+from brink.report.page import page_template
+from brink.report.text import markdown_text, table_row
 from brink.search.analysis.suite import SuiteVerdict
 from brink.server.suites.matrix import Matrix, mark_of, state_of
 from brink.server.suites.results import CaseResult, SuiteResults, sorted_cases

@@ -1,19 +1,18 @@
-"""Numbers and tables as text, and the templates of pages, for reports."""
+"""Numbers and tables as text, for reports."""
 
 import re
 from collections.abc import Sequence
-from functools import cache
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
-
-from brink.search.analysis.statistics import MeanInterval
 from brink.worker.printable import printable
+
+if TYPE_CHECKING:
+    from brink.search.analysis.statistics import MeanInterval
 
 _TAG: Final = re.compile("<(?=[A-Za-z/!?])")
 
 
-def interval_text(value: MeanInterval) -> str:
+def interval_text(value: "MeanInterval") -> str:
     """Return the mean of a count with its interval, such as ``3.2 [0.0, 6.9]``; counts are not negative."""
     if value.low is None or value.high is None:
         return f"{value.mean:.1f}"
@@ -35,25 +34,3 @@ def table_row(cells: Sequence[str]) -> str:
 def markdown_text(text: str) -> str:
     """Return untrusted text escaped so that no Markdown reader takes it for HTML, without control characters."""
     return _TAG.sub(r"\\<", printable(text).replace("\n", " "))
-
-
-def _without_controls(value: Any) -> Any:
-    return printable(value) if type(value) is str else value  # markup is no plain text
-
-
-@cache
-def page_template(name: str) -> Template:
-    """Return the template of a page, which escapes all its values.
-
-    Args:
-        name: Its file name.
-    """
-    environment = Environment(
-        loader=PackageLoader("brink.report"),
-        autoescape=True,
-        finalize=_without_controls,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(name)

@@ -34,9 +34,10 @@ import numpy as np
 from brink.search.algorithm import Draws, Evaluation
 from brink.search.algorithms.ledger import Ledger, LedgerConfig, LedgerState, WarmLedgerAlgorithm
 from brink.search.archive import Archive
+from brink.search.conclusions import Decision
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError
-from brink.search.rates import Decision, Wealth, best_growth
+from brink.search.rates import Wealth, best_growth
 from brink.search.settings import check_settings, setting
 from brink.search.space import FloatArray, SearchSpace, frozen_array
 from brink.search.streams import Stream, generator

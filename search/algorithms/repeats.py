@@ -15,7 +15,6 @@ The archive holds every solution many times, so its neighbourhoods and boundary 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -29,6 +28,7 @@ from brink.search.algorithms.ledger import (
     check_given_rows,
     check_seed_numbers,
 )
+from brink.search.conclusions import Conclusion
 from brink.search.document import Document
 from brink.search.errors import ConfigError
 from brink.search.fitness import Z_95, fitness_of_interval
@@ -187,19 +187,6 @@ class _Tally:
     def needed(self) -> int:
         """Minimum number of further drives that confirm its verdict."""
         return drives_to_confirm(self.other + self.failed) - self.evaluated - self.failed
-
-
-class Conclusion(StrEnum):
-    """What the repeats of one solution show about its unsafe probability."""
-
-    BELOW = "below"
-    """Its interval lies below p_th: safer than the boundary."""
-    ABOVE = "above"
-    """Its interval lies above p_th: less safe than the boundary."""
-    NEAR = "near"
-    """It meets the criterion of the boundary itself: both verdicts, and an interval close to p_th."""
-    INCONCLUSIVE = "inconclusive"
-    """Its interval contains p_th, but shows no more than that, for example after few simulations."""
 
 
 def simulations_to_clear(p_th: float, z: float = Z_95) -> int:

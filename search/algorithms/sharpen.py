@@ -29,6 +29,7 @@ from brink.search.algorithms.ledger import (
     LedgerState,
     check_given_rows,
 )
+from brink.search.conclusions import Outcome
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError, UnsupportedSpace
 from brink.search.features import units_of
@@ -37,7 +38,7 @@ from brink.search.parameters import Number
 from brink.search.settings import setting
 from brink.search.space import FloatArray, SearchSpace
 from brink.search.streams import Stream, generator
-from brink.search.thresholds import MOST, CurvePrior, Estimate, Outcome, Trials, estimate, next_places
+from brink.search.thresholds import MOST, CurvePrior, Estimate, Trials, estimate, next_places
 from brink.search.thresholds.line import Line, valid_change
 
 TRIES: Final = 3

@@ -28,6 +28,7 @@ import numpy as np
 
 from brink.extras import install_command
 from brink.forest import Forest
+from brink.search.analysis.choices import LEAST_OF_A_VERDICT
 from brink.search.analysis.folds import Division, connected, divisions, kinds_of_solutions
 from brink.search.analysis.intervals import clustered
 from brink.search.deadline import check_time
@@ -41,8 +42,6 @@ TREES: Final = 100
 """Number of trees of each model."""
 SHRINKAGE: Final = 5.0
 """L2 penalty on the values of leaves; chosen by cross-validation, with which calibration has a slope near 1."""
-LEAST_OF_A_VERDICT: Final = 10
-"""Minimum number of solutions of each verdict to which trees are fitted."""
 _TOLERANCE: Final = 1e-6
 _CHECKED: Final = 200
 """Number of solutions on which the exported trees are compared with scikit-learn's."""

@@ -32,10 +32,6 @@ from brink.search.space import BoolArray, IntArray
 IndexArray: TypeAlias = NDArray[np.intp]
 
 
-RADII: Final = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5)
-P_THS: Final = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
-"""Default settings of a sensitivity analysis."""
-
 MOST_COST: Final = 2_000_000_000
 """Cost of one request: a few seconds. Each distance costs its number of dimensions and `_OVERHEAD`, so 9,000
 solutions in 40 dimensions never cost more."""

@@ -24,7 +24,8 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from brink.search.analysis.boosted_trees import LEAST_OF_A_VERDICT, BoostedTrees, is_installed
+from brink.search.analysis.boosted_trees import BoostedTrees, is_installed
+from brink.search.analysis.choices import LEAST_OF_A_VERDICT, Model
 from brink.search.analysis.coverage import Coverage
 from brink.search.analysis.neighbours import Neighbours
 from brink.search.errors import DocumentError, SpaceError
@@ -56,13 +57,6 @@ class Answer(StrEnum):
     SAFE = "safe"
     UNSAFE = "unsafe"
     UNKNOWN = "unknown"
-
-
-class Model(StrEnum):
-    """A kind of model."""
-
-    TREES = "trees"
-    NEIGHBOURS = "neighbours"
 
 
 def default_model(unsafe: BoolArray) -> Model:

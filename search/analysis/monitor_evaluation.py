@@ -15,7 +15,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from brink.search.analysis.monitor import Answer, Model, Monitor
+from brink.search.analysis.choices import Model
+from brink.search.analysis.monitor import Answer, Monitor
 from brink.search.analysis.statistics import a12
 from brink.search.errors import MissingExtra
 from brink.search.fitness import wilson_interval

@@ -12,8 +12,9 @@ import numpy as np
 
 from brink.search.algorithm import Draws
 from brink.search.analysis.intervals import ratio_interval
+from brink.search.conclusions import Decision
 from brink.search.deadline import check_time
-from brink.search.rates import Decision, Wealth, best_growth, betting_bounds, fixed_interval, log_wealth
+from brink.search.rates import Wealth, best_growth, betting_bounds, fixed_interval, log_wealth
 from brink.search.space import BoolArray, FloatArray
 
 Interval = tuple[float, float]

@@ -11,11 +11,11 @@ Source: ours. Choice of places by mutual information, as in Kontsevich and Tyler
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Final
 
 import numpy as np
 
+from brink.search.conclusions import Outcome
 from brink.search.space import BoolArray, FloatArray, frozen_array
 from brink.search.tempering import effective_size, posterior_draws, resampled
 from brink.search.thresholds.prior import DIMENSION, CurvePrior
@@ -41,17 +41,6 @@ DRAWS: Final = 512
 _LIBRARY: Final = 4096
 _PLACES: Final = 48
 _GROUPS: Final = 8
-
-
-class Outcome(StrEnum):
-    """The conclusion of an estimation."""
-
-    OPEN = "open"
-    """More simulations are needed."""
-    THRESHOLD = "threshold"
-    """The probability passes from 20 to 80% within a fifth of the range."""
-    CHANCY = "chancy"
-    """It does not."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

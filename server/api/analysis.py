@@ -10,10 +10,11 @@ from fastapi import APIRouter, Query, Request, Response
 from numpy.typing import NDArray
 from pydantic import Field
 
+from brink.search.analysis.choices import Model
 from brink.search.analysis.comparison import control_summary, rows_of
 from brink.search.analysis.dependence import Dependence, ParameterColumn, parameter_columns
 from brink.search.analysis.ground import Ground
-from brink.search.analysis.monitor import Answer, Model, Monitor
+from brink.search.analysis.monitor import Answer, Monitor
 from brink.search.analysis.paper import D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS, Scores
 from brink.search.errors import SpaceError
@@ -36,13 +37,13 @@ from brink.server.campaigns.archives import ArchiveActivity, ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.outcomes import CampaignOutcomes, OutcomeGroup
 from brink.server.campaigns.reported import Reported, read_asked
-from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.dashboard import figures
 from brink.server.dashboard.solution_map import SolutionMap
 from brink.server.db.engine import read
 from brink.server.documents import Body
 from brink.server.errors import Conflict, FieldError, InvalidInput, nearest
-from brink.server.states import CampaignStatus, OutcomeKind
+from brink.server.states import ENDED, CampaignStatus, OutcomeKind
 from brink.server.views import View
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["figures"])

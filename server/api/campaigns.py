@@ -52,7 +52,7 @@ from brink.server.campaigns.known import count_known
 from brink.server.campaigns.plan import finds_of, minimises_of
 from brink.server.campaigns.reported import ReportedResults
 from brink.server.campaigns.simulators import simulator_of
-from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign, labelled
+from brink.server.campaigns.store import CAMPAIGNS, Campaign, labelled
 from brink.server.campaigns.view_store import read_campaign_progress
 from brink.server.dashboard.found import Found, found_so_far
 from brink.server.dashboard.overview import (
@@ -70,7 +70,7 @@ from brink.server.errors import InvalidInput, NotFound
 from brink.server.queue.job_store import count_unfinished, queued_needs
 from brink.server.queue.workers import live_capabilities
 from brink.server.seeding import LlmCalls, spent_on
-from brink.server.states import CampaignStatus
+from brink.server.states import ENDED, CampaignStatus
 from brink.server.views import View
 from brink.sim.catalogue import worker_for
 

@@ -41,7 +41,7 @@ from brink.server.api.schemas import (
     RepeatView,
 )
 from brink.server.campaigns.follow_ups.store import read_pair_campaigns
-from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.db.writer import Trouble
 from brink.server.experiments import store
@@ -52,7 +52,7 @@ from brink.server.experiments.thresholds import distance_of
 from brink.server.findings.experiments import ExperimentPairs, ExperimentThresholds
 from brink.server.queue.job_store import count_unfinished
 from brink.server.queue.workers import live_capabilities
-from brink.server.states import CampaignStatus, JobStatus
+from brink.server.states import ENDED, CampaignStatus, JobStatus
 from brink.server.views import View
 
 router = APIRouter(prefix="/experiments", tags=["experiments"])

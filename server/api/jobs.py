@@ -11,12 +11,11 @@ from brink.server.api.context import Services, client_gone
 from brink.server.api.responses import NOT_MODIFIED, set_etag
 from brink.server.api.schemas import MAX_NUMBER, JobCounts, JobList, JobViewModel, WorkerView
 from brink.server.api.wire_routes import WireRoute
-from brink.server.campaigns.store import ENDED
 from brink.server.db.engine import read
 from brink.server.errors import NotFound
 from brink.server.queue.job_store import count_jobs, list_jobs
 from brink.server.queue.workers import list_workers, live_capabilities
-from brink.server.states import CampaignStatus, JobKind, JobStatus
+from brink.server.states import ENDED, CampaignStatus, JobKind, JobStatus
 from brink.sim.catalogue import worker_for
 from brink.worker.wire import (
     HeartbeatReply,

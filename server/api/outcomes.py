@@ -3,57 +3,14 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
-from pydantic import Field
 
 from brink.server.api.context import Services
 from brink.server.api.responses import json_response
+from brink.server.api.schemas import OutcomeGroupView, OutcomesView
 from brink.server.campaigns.outcomes import CampaignOutcomes
 from brink.server.states import OutcomeKind
-from brink.server.views import View
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
-
-
-class OutcomeGroupView(View):
-    """Solutions whose simulations had the same outcome."""
-
-    words: Annotated[
-        str, Field(description="Such as `front gap held; hit a pedestrian`, without the moment.")
-    ]
-    kind: OutcomeKind
-    solutions: Annotated[int, Field(description="Number of solutions.")]
-
-
-class OutcomesView(View):
-    """The results of a campaign's simulations for its own and all other recorded requirements."""
-
-    requirements: Annotated[
-        list[str], Field(description="Requirements that decide the verdict; empty if unknown.")
-    ]
-    evaluated: Annotated[int, Field(description="Solutions with a verdict.")]
-    recorded: Annotated[int, Field(description="Solutions whose result has the requirements.")]
-    words: Annotated[
-        str,
-        Field(
-            description="How many drives held the requirements, which others they violated, and in which ODD."
-        ),
-    ]
-    odd: Annotated[
-        str,
-        Field(
-            description="The sentences in `words` about the ODD; empty if the search was not limited to one."
-        ),
-    ] = ""
-    kinds: Annotated[
-        dict[OutcomeKind, str],
-        Field(description="What the solutions of each kind have in common, such as `front gap held`."),
-    ]
-    counts: Annotated[dict[OutcomeKind, int], Field(description="Number of solutions of each kind.")]
-    groups: Annotated[list[OutcomeGroupView], Field(description="In order of first appearance.")]
-    number: Annotated[
-        list[int] | None, Field(description="Number of each solution, if requested with `solutions`.")
-    ]
-    group: Annotated[list[int] | None, Field(description="Index of each of these solutions in `groups`.")]
 
 
 @router.get("/outcomes", response_model=OutcomesView)

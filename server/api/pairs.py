@@ -16,8 +16,8 @@ from brink.server.api.responses import (
     set_created,
 )
 from brink.server.findings.follow_ups import FollowUpView, follow_up_view
-from brink.server.findings.pairs.questions import PairsQuestion, follow_up_pairs
-from brink.server.findings.pairs.views import DEFAULT_PAIRS, MOST_PAIRS, FollowUpBody, PairsView
+from brink.server.findings.pairs.questions import FollowUpBody, PairsQuestion, follow_up_pairs
+from brink.server.findings.pairs.views import DEFAULT_PAIRS, MOST_PAIRS, PairsView
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/pairs", tags=["pairs"])
 

@@ -10,10 +10,10 @@ from brink.server.api.context import Services
 from brink.server.api.responses import set_created
 from brink.server.api.schemas import MAX_NUMBER
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.follow_ups.follow_up import MOST
+from brink.server.campaigns.follow_ups.limits import DEFAULT_REPEATS, MOST
 from brink.server.documents import Body
 from brink.server.findings.boundary.repeat_views import RepeatsView
-from brink.server.findings.boundary.repeats import DEFAULT_REPEATS, find_repeats
+from brink.server.findings.boundary.repeats import find_repeats
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["repeats"])
 

@@ -7,7 +7,7 @@ from pydantic import BaseModel, Field
 
 from brink.server.campaigns.body import CampaignBody
 from brink.server.experiments.body import ExperimentBody
-from brink.server.states import CampaignStatus, JobStatus
+from brink.server.states import CampaignStatus, JobStatus, OutcomeKind
 from brink.server.views import SolutionView, View
 
 MAX_NUMBER = 2**53
@@ -476,3 +476,45 @@ class ControlView(View):
     spread: Annotated[
         list[list[float]], Field(description="Standard deviation of strict DBS over the draws.")
     ]
+
+
+class OutcomeGroupView(View):
+    """Solutions whose simulations had the same outcome."""
+
+    words: Annotated[
+        str, Field(description="Such as `front gap held; hit a pedestrian`, without the moment.")
+    ]
+    kind: OutcomeKind
+    solutions: Annotated[int, Field(description="Number of solutions.")]
+
+
+class OutcomesView(View):
+    """The results of a campaign's simulations for its own and all other recorded requirements."""
+
+    requirements: Annotated[
+        list[str], Field(description="Requirements that decide the verdict; empty if unknown.")
+    ]
+    evaluated: Annotated[int, Field(description="Solutions with a verdict.")]
+    recorded: Annotated[int, Field(description="Solutions whose result has the requirements.")]
+    words: Annotated[
+        str,
+        Field(
+            description="How many drives held the requirements, which others they violated, and in which ODD."
+        ),
+    ]
+    odd: Annotated[
+        str,
+        Field(
+            description="The sentences in `words` about the ODD; empty if the search was not limited to one."
+        ),
+    ] = ""
+    kinds: Annotated[
+        dict[OutcomeKind, str],
+        Field(description="What the solutions of each kind have in common, such as `front gap held`."),
+    ]
+    counts: Annotated[dict[OutcomeKind, int], Field(description="Number of solutions of each kind.")]
+    groups: Annotated[list[OutcomeGroupView], Field(description="In order of first appearance.")]
+    number: Annotated[
+        list[int] | None, Field(description="Number of each solution, if requested with `solutions`.")
+    ]
+    group: Annotated[list[int] | None, Field(description="Index of each of these solutions in `groups`.")]

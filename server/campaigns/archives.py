@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection
 
 from brink.search.algorithm import Known
-from brink.search.analysis.monitor import Model, Monitor, default_model
+from brink.search.analysis.choices import Model
+from brink.search.analysis.monitor import Monitor, default_model
 from brink.search.archive import Archive, archive_digest
 from brink.search.deadline import check_time
 from brink.search.errors import MissingExtra

@@ -20,7 +20,6 @@ from sqlalchemy import Connection, delete, select, update
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import InstrumentedAttribute
 
-from brink.server.campaigns.store import ENDED
 from brink.server.db.engine import Engines, read
 from brink.server.db.models import (
     NEXT_SEQUENCE,
@@ -38,7 +37,7 @@ from brink.server.db.sql import database_now, in_list, lock_rows
 from brink.server.db.writer import Writer
 from brink.server.errors import Conflict, Unavailable
 from brink.server.queue import job_store
-from brink.server.states import CampaignStatus
+from brink.server.states import ENDED, CampaignStatus
 
 PIECE_ROWS: Final = 200
 PIECE_BYTES: Final = 8 * 1024 * 1024

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 
 import numpy as np
 from sqlalchemy import Connection
@@ -18,6 +17,7 @@ from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import RatesMeasuredErrors
+from brink.server.states import CheckResult
 from brink.sim.urban.error_meter import MEASURES
 
 MOST_DRIVES = 10_000
@@ -25,16 +25,6 @@ WORST = 5
 """Maximum number of drives listed as the worst of a cell."""
 ALL_DRIVES = "all drives"
 """The condition of drives of which none is known."""
-
-
-class CheckResult(StrEnum):
-    """Whether a detector meets a requirement."""
-
-    MET = "met"
-    NOT_MET = "not met"
-    TOO_LITTLE = "not enough data"
-    NO_DATA = "no data"
-    """No informative drive: the target was never in sight, or errors of the type are not measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,14 +15,15 @@ from brink.search.space import BoolArray, IntArray
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import CACHED, ReadArchive, read_activity
 from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH
-from brink.server.campaigns.follow_ups.follow_up import MOST
 from brink.server.campaigns.follow_ups.kinds.minimise import reducible_pairs
-from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, Reducible
+from brink.server.campaigns.follow_ups.limits import MOST, MOST_PAIRS_FOLLOWED
+from brink.server.campaigns.follow_ups.question import Reducible
 from brink.server.campaigns.plan import Plan
-from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines
 from brink.server.errors import InvalidInput, NotFound
 from brink.server.single_flight import SingleFlightCache
+from brink.server.states import ENDED
 
 MOST_PENDING: Final = 4
 """Maximum number of archives that are searched for pairs at a time, queued ones included; each takes a while."""

@@ -20,11 +20,11 @@ from brink.search.algorithm import Scored
 from brink.search.space import FloatArray
 from brink.server.campaigns.outcomes import OutcomeGroup, outcome_of
 from brink.server.campaigns.plan import make_plan
-from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.db.models import JobRow, SolutionRow
 from brink.server.errors import InvalidInput
 from brink.server.problems.base import InProcessProblem, SimulatedProblem
-from brink.server.states import JobKind, JobStatus
+from brink.server.states import ENDED, JobKind, JobStatus
 from brink.worker.wire import Completed
 
 MOST: Final = 2_000

@@ -30,7 +30,7 @@ from brink.server.campaigns.plan import (
     store_campaigns,
 )
 from brink.server.campaigns.simulators import other_simulator
-from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.campaigns.warm_start import find_start
 from brink.server.db.engine import Engines, read
 from brink.server.db.sql import DocumentTable
@@ -39,7 +39,7 @@ from brink.server.errors import Conflict
 from brink.server.queue.job_store import count_unfinished, idle_campaigns
 from brink.server.queue.wakeups import Wakeups
 from brink.server.seeding import Access
-from brink.server.states import CampaignStatus, JobStatus
+from brink.server.states import ENDED, CampaignStatus, JobStatus
 
 log = logging.getLogger(__name__)
 

@@ -19,9 +19,7 @@ from brink.server.problems.catalogue import former_settings
 from brink.server.queue import job_store
 from brink.server.queue.job_store import JobSettings
 from brink.server.queue.wakeups import notify_coordinators
-from brink.server.states import CampaignStatus, JobKind, JobStatus, SolutionVerdict
-
-ENDED = (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED)
+from brink.server.states import ENDED, CampaignStatus, JobKind, JobStatus, SolutionVerdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,27 +8,19 @@ import numpy as np
 
 from brink.search.analysis.lines import FEWEST_PLACES, Line, find_lines
 from brink.search.archive import Archive
+from brink.search.conclusions import Outcome
 from brink.search.deadline import check_time
 from brink.search.space import BoolArray, FloatArray, IntArray
 from brink.search.streams import Stream, episode_seed, generator
-from brink.search.thresholds import (
-    CONFIDENCE,
-    FEWEST,
-    HIGH,
-    MOST,
-    CurvePrior,
-    Estimate,
-    Outcome,
-    Trials,
-    estimate,
-)
+from brink.search.thresholds import CONFIDENCE, FEWEST, HIGH, MOST, CurvePrior, Estimate, Trials, estimate
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import CACHED, ReadArchive
 from brink.server.campaigns.plan import Plan
-from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines
 from brink.server.errors import NotFound
 from brink.server.single_flight import SingleFlightCache
+from brink.server.states import ENDED
 
 MOST_PENDING: Final = 4
 """Maximum number of archives whose lines are estimated at a time, queued ones included; each takes a while."""

@@ -22,13 +22,13 @@ from brink.server.campaigns.body import MOST_KNOWN, CampaignBody, StartFrom
 from brink.server.campaigns.known import KnownRecord, given_records, read_known
 from brink.server.campaigns.plan import Plan, Start, make_plan
 from brink.server.campaigns.simulators import other_simulator
-from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.db.models import SolutionRow
 from brink.server.errors import InvalidInput, NotFound
 from brink.server.problems.base import SimulatedProblem
 from brink.server.problems.catalogue import LIMITS
 from brink.server.queue.job_store import is_told
-from brink.server.states import SolutionVerdict
+from brink.server.states import ENDED, SolutionVerdict
 from brink.sim.catalogue import with_sources
 
 _POINTER = "/start_from/campaign"

@@ -17,12 +17,13 @@ from typing import Any, Final
 from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.follow_ups.question import question_of
 from brink.server.campaigns.plan import Plan, finds_of, make_plan
-from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.dashboard.overview import Outline
 from brink.server.errors import InvalidInput, NotFound, TooCostly, Unavailable
 from brink.server.findings.kind import Listed, kinds_of
 from brink.server.findings.words import counted
 from brink.server.read_threads import ReadThreads
+from brink.server.states import ENDED
 
 log = logging.getLogger(__name__)
 

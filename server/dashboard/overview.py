@@ -10,10 +10,10 @@ from typing import Any, Final
 
 from sqlalchemy import ColumnElement, Connection, Select, and_, case, func, select
 
-from brink.server.campaigns.store import ENDED, labelled, read_tags
+from brink.server.campaigns.store import labelled, read_tags
 from brink.server.db.models import CampaignRow, ExperimentCampaignRow, FollowUpRow, GenerationRow
 from brink.server.db.sql import in_list, newest_first
-from brink.server.states import CampaignStatus, FollowUpKind
+from brink.server.states import ENDED, CampaignStatus, FollowUpKind
 
 POINTS: Final = 24
 """Maximum number of points of a sparkline."""

@@ -17,11 +17,11 @@ from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.follow_ups.kinds.component import blames_scenario
 from brink.server.campaigns.follow_ups.kinds.confirm import shares_of
 from brink.server.campaigns.follow_ups.store import read_follow_ups
-from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines, read
 from brink.server.experiments.store import Experiment, Member
 from brink.server.single_flight import SingleFlightCache
-from brink.server.states import CampaignStatus
+from brink.server.states import ENDED, CampaignStatus
 
 CACHED = 2_000
 """Maximum number of campaigns of which it is in memory what they found, about 10 kB each."""

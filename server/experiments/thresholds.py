@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from brink.search.analysis.threshold_comparison import FoundThreshold, ThresholdRepeat, close_ones
-from brink.search.thresholds import Outcome
+from brink.search.conclusions import Outcome
 from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.threshold_ends import Ends, kind_of, read_outcome, row_at
 from brink.server.campaigns.thresholds import Threshold, find_stored_thresholds

@@ -1,12 +1,14 @@
 """Response schemas of follow-ups: campaigns that rerun solutions of another campaign."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from brink.server.campaigns.store import Campaign
 from brink.server.states import CampaignStatus, FollowUpKind
 from brink.server.views import View
+
+if TYPE_CHECKING:
+    from brink.server.campaigns.store import Campaign
 
 
 class ShareView(View):
@@ -38,7 +40,7 @@ class FollowUpView(View):
     budget: int
 
 
-def follow_up_view(kind: FollowUpKind, campaign: Campaign) -> FollowUpView:
+def follow_up_view(kind: FollowUpKind, campaign: "Campaign") -> FollowUpView:
     """Return the response schema of a follow-up, which a campaign simulates."""
     return FollowUpView(
         kind=kind,

@@ -15,7 +15,7 @@ from brink.server.campaigns.follow_ups.question import question_of
 from brink.server.campaigns.follow_ups.store import followed_by, read_follow_ups
 from brink.server.campaigns.outcomes import CampaignOutcomes
 from brink.server.campaigns.plan import Plan
-from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.campaigns.traces import driven_again
 from brink.server.errors import NotFound
 from brink.server.findings.boundary.repeats import count_distinct, repeats_view
@@ -27,7 +27,7 @@ from brink.server.findings.words import full_sentence, so_far
 from brink.server.problems.catalogue import takes_requirement
 from brink.server.problems.driving_systems import users_part
 from brink.server.problems.requirements import ANY
-from brink.server.states import CampaignStatus, OutcomeKind
+from brink.server.states import ENDED, CampaignStatus, OutcomeKind
 
 ROWS: Final = 10
 """Rows of each table where all kinds of findings are listed."""

@@ -1,9 +1,12 @@
 """Words that the sentences of several kinds of findings share."""
 
 import math
+from typing import TYPE_CHECKING
 
-from brink.server.campaigns.store import ENDED, Campaign
-from brink.server.problems.changes import as_sentence
+from brink.server.states import ENDED
+
+if TYPE_CHECKING:
+    from brink.server.campaigns.store import Campaign
 
 
 def counted(count: int, noun: str, nouns: str = "") -> str:
@@ -18,7 +21,7 @@ def full_sentence(words: str) -> str:
     return f"{as_sentence(words).removesuffix('.')}."
 
 
-def so_far(campaign: Campaign, words: str) -> str:
+def so_far(campaign: "Campaign", words: str) -> str:
     """Return words about a campaign, prefixed with its progress if it has not ended."""
     if campaign.status in ENDED:
         return words
@@ -57,3 +60,8 @@ def rounded(number: float, *, outward: int = 0) -> str:
     whole = round(steps) if not outward else math.ceil(steps) if outward > 0 else math.floor(steps)
     value = whole * step
     return f"{value:.2g}" if value < 99.5 else f"{value:,.0f}"
+
+
+def as_sentence(words: str) -> str:
+    """Return words with a capital letter at the beginning."""
+    return words[:1].upper() + words[1:]

@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from brink.packed import PIECE_BYTES, check_members, read_exactly, read_header
-from brink.server.campaigns.follow_ups.follow_up import MOST, FollowUp
+from brink.server.campaigns.follow_ups.follow_up import FollowUp
+from brink.server.campaigns.follow_ups.limits import MOST
 from brink.server.errors import ServerError
 from brink.server.states import FollowUpKind, Selection
 from brink.user_file import open_file

@@ -13,10 +13,10 @@ from datetime import datetime, timedelta
 from sqlalchemy import Connection, func, select
 
 from brink.server.campaigns.deletion import TreeMember, mark_deleted, read_trees
-from brink.server.campaigns.store import ENDED
 from brink.server.db.models import CampaignRow, ExperimentCampaignRow, FollowUpRow, SolutionRow
 from brink.server.db.sql import database_now
 from brink.server.queue.job_store import delete_traces
+from brink.server.states import ENDED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

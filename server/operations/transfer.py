@@ -41,7 +41,7 @@ from brink.server.campaigns.follow_ups.question import question_of
 from brink.server.campaigns.follow_ups.store import insert_follow_up
 from brink.server.campaigns.plan import Plan, make_plan, restored_archive
 from brink.server.campaigns.step_store import read_archive
-from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign, stored_body
+from brink.server.campaigns.store import CAMPAIGNS, Campaign, stored_body
 from brink.server.db.models import (
     Base,
     CampaignRow,
@@ -76,7 +76,7 @@ from brink.server.operations.verification import count_missing_jobs, verify_coun
 from brink.server.problems.base import InProcessProblem, MeasuresOnData
 from brink.server.problems.catalogue import uses_user_code
 from brink.server.seeding import Access
-from brink.server.states import CampaignStatus, JobKind, JobStatus
+from brink.server.states import ENDED, CampaignStatus, JobKind, JobStatus
 from brink.sim.episode import EpisodeSpec
 from brink.sim.errors import SimulatorError
 

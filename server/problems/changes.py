@@ -160,11 +160,6 @@ def common_words(safe: str, unsafe: str) -> str:
     return "; ".join(common)
 
 
-def as_sentence(words: str) -> str:
-    """Return words with a capital letter at the beginning."""
-    return words[:1].upper() + words[1:]
-
-
 def _values(safe: Value, unsafe: Value, unit: str) -> str:
     old, new = different(safe, unsafe)
     suffix = f" {unit}" if unit else ""

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from brink.forest import Forest
+from brink.guard.choices import Sensor
 from brink.guard.drives import Drive, behaviour_of, scenario_of
 from brink.guard.features import ALL_FEATURES
-from brink.guard.model import AlarmRule, GuardModel, Sensor
+from brink.guard.model import AlarmRule, GuardModel, feature_names
 from brink.sim.episode import EpisodeSpec
 
 REQUIREMENT = "front-gap@1"
@@ -21,7 +22,7 @@ def stump_guard(
     alarm: AlarmRule | None = None,
 ) -> GuardModel:
     """Return a guard with one tree for each horizon: log odds of 2, 3 and 4 above a value of a feature, else -2."""
-    place = sensor.features.index(feature)
+    place = feature_names(sensor).index(feature)
     return GuardModel(
         sensor=sensor,
         requirements=(REQUIREMENT,),
@@ -35,7 +36,7 @@ def stump_guard(
                 "owners": [0, 1, 2],
                 "offsets": [0.0, 0.0, 0.0],
             },
-            len(sensor.features),
+            len(feature_names(sensor)),
         ),
         calibration=np.array([[0.0, 1.0]] * 3),
         alarm=alarm or AlarmRule(horizon_s=3.0, threshold=0.5, release=0.25, confirm_steps=2, hold_s=0.5),

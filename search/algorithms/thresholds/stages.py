@@ -20,10 +20,11 @@ from brink.search.algorithms.thresholds.state import (
     ThresholdConfig,
     ThresholdState,
 )
+from brink.search.conclusions import Outcome
 from brink.search.metric import Metric
 from brink.search.space import FloatArray
 from brink.search.streams import Stream, generator
-from brink.search.thresholds.estimation import FEWEST, Estimate, Outcome, Trials, estimate
+from brink.search.thresholds.estimation import FEWEST, Estimate, Trials, estimate
 from brink.search.thresholds.line import Line, valid_change
 from brink.search.thresholds.prior import CurvePrior
 

@@ -9,8 +9,6 @@ from brink.server.campaigns.plan import Plan, PreparedCampaign
 from brink.server.campaigns.store import Campaign
 from brink.server.states import FollowUpKind, Selection
 
-MOST = 1_000
-"""Maximum number of solutions, best first; limited because they are part of a campaign's parameters."""
 _NAME_LENGTH = 200
 
 

@@ -5,18 +5,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import ClassVar, Final, cast
+from typing import ClassVar, cast
 
 from brink.search.analysis.pairs import Pair
 from brink.search.archive import Archive
-from brink.server.campaigns.follow_ups.follow_up import MOST, FollowUp, PlannedFollowUp, StoredFollowUp
+from brink.server.campaigns.follow_ups.follow_up import FollowUp, PlannedFollowUp, StoredFollowUp
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import Campaign
 from brink.server.errors import InvalidInput
 from brink.server.states import FollowUpKind
-
-MOST_PAIRS_FOLLOWED: Final = MOST // 2
-"""Maximum number of pairs in a follow-up, checked ones first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,18 +7,16 @@ from pydantic import Field
 from brink.search.analysis.boundary import has_evidence
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.boundaries import read_last_count
-from brink.server.campaigns.follow_ups.follow_up import MOST
+from brink.server.campaigns.follow_ups.limits import DEFAULT_REPEATS, MOST
 from brink.server.campaigns.plan import check_repeatable
-from brink.server.campaigns.store import ENDED
 from brink.server.errors import InvalidInput
 from brink.server.findings.boundary.analysis import boundary_note, boundary_table, boundary_words, grid_table
-from brink.server.findings.boundary.repeats import DEFAULT_REPEATS
 from brink.server.findings.finding import Finding, Role, Step, StepRequest, Term
 from brink.server.findings.follow_ups import follow_up_view
 from brink.server.findings.kind import MOST_RINGS, Kind, Listed, Settings, Subject
 from brink.server.findings.solutions import solutions_of
 from brink.server.findings.words import counted, listed_words
-from brink.server.states import FollowUpKind, Selection
+from brink.server.states import ENDED, FollowUpKind, Selection
 
 
 class BoundarySettings(Settings):

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from brink.search.algorithms.repeats import Conclusion
+from brink.search.conclusions import Conclusion
 from brink.server.states import CampaignStatus, Selection
 from brink.server.views import View
 

@@ -3,12 +3,14 @@
 from collections import Counter
 from typing import Final
 
-from brink.search.algorithms.repeats import Conclusion, simulations_to_clear
+from brink.search.algorithms.repeats import simulations_to_clear
+from brink.search.conclusions import Conclusion
 from brink.search.fitness import wilson_interval
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_T_B
-from brink.server.campaigns.follow_ups.follow_up import MOST, StoredFollowUp
+from brink.server.campaigns.follow_ups.follow_up import StoredFollowUp
 from brink.server.campaigns.follow_ups.kinds.confirm import tallies_of
+from brink.server.campaigns.follow_ups.limits import MOST
 from brink.server.campaigns.follow_ups.store import read_follow_ups
 from brink.server.campaigns.store import Campaign
 from brink.server.findings.boundary.repeat_views import RepeatedSolution, RepeatsView
@@ -17,7 +19,6 @@ from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.words import listed_words
 from brink.server.states import CampaignStatus, Selection
 
-DEFAULT_REPEATS = 50
 COLUMNS: Final = [
     Column(name="number", title="solution", format=Format.SOLUTION),
     Column(name="evaluated", title="simulated", format=Format.COUNT),

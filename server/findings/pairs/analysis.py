@@ -17,11 +17,12 @@ from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.follow_ups.follow_up import StoredFollowUp
 from brink.server.campaigns.follow_ups.kinds.confirm import Repeated
 from brink.server.campaigns.follow_ups.kinds.minimise import has_one_seed, pairs_of, reduced_by
-from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, AskedPairs, Offer, questions
+from brink.server.campaigns.follow_ups.limits import MOST_PAIRS_FOLLOWED
+from brink.server.campaigns.follow_ups.question import AskedPairs, Offer, questions
 from brink.server.campaigns.outcomes import SolutionOutcome, outcome_of
 from brink.server.campaigns.pairs import CampaignPairs, find_reducible
 from brink.server.campaigns.plan import Plan, make_plan
-from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.errors import NotFound
 from brink.server.findings.follow_ups import ShareView, follow_up_view
 from brink.server.findings.pairs.table import pairs_table
@@ -42,18 +43,11 @@ from brink.server.findings.pairs.views import (
 )
 from brink.server.findings.pairs.words import in_words, legend
 from brink.server.findings.solutions import activity_view, simulated
-from brink.server.findings.words import so_far
+from brink.server.findings.words import as_sentence, so_far
 from brink.server.problems.base import Problem, SimulatedSolution, describe_candidate
-from brink.server.problems.changes import (
-    Change,
-    as_sentence,
-    change_words,
-    changes_between,
-    common_words,
-    moved_words,
-)
+from brink.server.problems.changes import Change, change_words, changes_between, common_words, moved_words
 from brink.server.problems.error_slots import SCENARIO
-from brink.server.states import CampaignStatus, FollowUpKind, Selection, SolutionVerdict
+from brink.server.states import ENDED, CampaignStatus, FollowUpKind, Selection, SolutionVerdict
 from brink.sim.verdict import drives_held, unsafe_words
 
 

@@ -13,7 +13,6 @@ from brink.server.campaigns.follow_ups.kinds.confirm import Repeated
 from brink.server.campaigns.follow_ups.question import question_of
 from brink.server.campaigns.follow_ups.store import read_follow_ups
 from brink.server.campaigns.pairs import PairSettings, find_stored_pairs
-from brink.server.campaigns.store import ENDED
 from brink.server.errors import InvalidInput
 from brink.server.findings.finding import Finding, Role, Step, StepRequest
 from brink.server.findings.follow_ups import follow_up_view
@@ -30,7 +29,7 @@ from brink.server.findings.pairs.views import (
 )
 from brink.server.findings.pairs.words import categorical_words, chance_words, figures, meaning, trust
 from brink.server.findings.words import counted
-from brink.server.states import Selection
+from brink.server.states import ENDED, Selection
 
 MOST_SOLUTIONS: Final = 20_000
 """Largest archive that is searched for pairs for a list; a campaign's page has those of others."""

@@ -2,23 +2,68 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Annotated, Self
 
+from pydantic import Field, model_validator
 from sqlalchemy import Connection
 
+from brink.search.sequential import FIRST
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.follow_ups.follow_up import StoredFollowUp
+from brink.server.campaigns.follow_ups.limits import DEFAULT_CONFIRMATIONS, MOST_PAIRS_FOLLOWED
 from brink.server.campaigns.follow_ups.question import AskedPairs, question_of
 from brink.server.campaigns.follow_ups.same_episodes import read_seeds
 from brink.server.campaigns.follow_ups.store import read_follow_ups
 from brink.server.campaigns.pairs import PairSettings
 from brink.server.campaigns.service import CampaignService
-from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.store import Campaign
+from brink.server.documents import Body
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.findings.pairs.analysis import pairs_view
 from brink.server.findings.pairs.table import pairs_file
-from brink.server.findings.pairs.views import FollowUpBody, PairsView
+from brink.server.findings.pairs.views import PairsView
 from brink.server.findings.sources import Sources
+from brink.server.states import ENDED, FollowUpKind
+
+
+class FollowUpBody(Body):
+    """The follow-up to run on the pairs of a campaign."""
+
+    kind: Annotated[
+        FollowUpKind,
+        Field(
+            strict=False,
+            description="confirm: simulate both sides with other seeds. component: simulate the unsafe side with "
+            "ground truth in place of the component. minimise: revert differences one by one. sharpen: "
+            "find where along a number they turn.",
+        ),
+    ]
+    repeats: Annotated[
+        int,
+        Field(
+            ge=2,
+            le=10_000,
+            description="Maximum number of simulations of each side, to confirm pairs. It takes fewer once a "
+            "side is confirmed or "
+            f"refuted; fewer than {FIRST} confirm none.",
+        ),
+    ] = DEFAULT_CONFIRMATIONS
+    eps: Annotated[float | None, Field(ge=0, le=1, description="As for the pairs themselves.")] = None
+    d_th: Annotated[float | None, Field(ge=0, le=1, description="As for the pairs themselves.")] = None
+    limit: Annotated[
+        int,
+        Field(
+            ge=1,
+            le=MOST_PAIRS_FOLLOWED,
+            description="Maximum number of pairs to follow up, those with the smallest numbers.",
+        ),
+    ] = MOST_PAIRS_FOLLOWED
+
+    @model_validator(mode="after")
+    def _check_repeats_confirm(self) -> Self:
+        if question_of(self.kind).repeats is None and "repeats" in self.model_fields_set:
+            raise ValueError(f"expected repeats only to confirm pairs, got kind {self.kind}")
+        return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -12,7 +12,7 @@ from brink.server.findings.boundary.table import parameter_columns
 from brink.server.findings.pairs.views import MOST_PAIRS, PairsView, PairView
 from brink.server.findings.pairs.words import extent_words
 from brink.server.findings.table import Cell, Column, Format, Row, Table, table_bytes
-from brink.server.problems.changes import as_sentence
+from brink.server.findings.words import as_sentence
 
 COLUMNS: Final = [
     Column(name="pair", title="pair", format=Format.COUNT, page="pairs/{safe}-{unsafe}"),

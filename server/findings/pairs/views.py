@@ -1,15 +1,12 @@
 """Response schemas of pairs: two neighbouring solutions, one safe and one unsafe, and the change between them."""
 
 from enum import StrEnum
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Final
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from brink.search.analysis.confirmation import Confirmation
 from brink.search.sequential import ERROR, FIRST, FURTHER, INTERVAL, LIMIT
-from brink.server.campaigns.follow_ups.kinds.confirm import DEFAULT_CONFIRMATIONS
-from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, question_of
-from brink.server.documents import Body
 from brink.server.findings.follow_ups import FollowUpView, ShareView
 from brink.server.findings.table import Table
 from brink.server.states import CampaignStatus, FollowUpKind, OutcomeKind
@@ -276,46 +273,6 @@ class FollowUpOffer(View):
             description="Pairs that are left out, because their sides were simulated with different seeds."
         ),
     ] = 0
-
-
-class FollowUpBody(Body):
-    """The follow-up to run on the pairs of a campaign."""
-
-    kind: Annotated[
-        FollowUpKind,
-        Field(
-            strict=False,
-            description="confirm: simulate both sides with other seeds. component: simulate the unsafe side with "
-            "ground truth in place of the component. minimise: revert differences one by one. sharpen: "
-            "find where along a number they turn.",
-        ),
-    ]
-    repeats: Annotated[
-        int,
-        Field(
-            ge=2,
-            le=10_000,
-            description="Maximum number of simulations of each side, to confirm pairs. It takes fewer once a "
-            "side is confirmed or "
-            f"refuted; fewer than {FIRST} confirm none.",
-        ),
-    ] = DEFAULT_CONFIRMATIONS
-    eps: Annotated[float | None, Field(ge=0, le=1, description="As for the pairs themselves.")] = None
-    d_th: Annotated[float | None, Field(ge=0, le=1, description="As for the pairs themselves.")] = None
-    limit: Annotated[
-        int,
-        Field(
-            ge=1,
-            le=MOST_PAIRS_FOLLOWED,
-            description="Maximum number of pairs to follow up, those with the smallest numbers.",
-        ),
-    ] = MOST_PAIRS_FOLLOWED
-
-    @model_validator(mode="after")
-    def _check_repeats_confirm(self) -> Self:
-        if question_of(self.kind).repeats is None and "repeats" in self.model_fields_set:
-            raise ValueError(f"expected repeats only to confirm pairs, got kind {self.kind}")
-        return self
 
 
 class PairsView(View):

@@ -14,8 +14,7 @@ from brink.server.findings.pairs.views import (
     PairsView,
     PairView,
 )
-from brink.server.findings.words import counted
-from brink.server.problems.changes import as_sentence
+from brink.server.findings.words import as_sentence, counted
 from brink.sim.verdict import held_words
 
 _CUT: Final = " more difference"

@@ -10,10 +10,10 @@ import numpy as np
 
 from brink.search.algorithm import Draws, EstimatesRate
 from brink.search.analysis.rate import Claim, Ratio, claim_of, looks, rate_of, ratio_of, strata_of
+from brink.search.conclusions import Decision
 from brink.search.deadline import check_time
 from brink.search.distribution import distribution_words
 from brink.search.document import Document
-from brink.search.rates import Decision
 from brink.search.space import BoolArray, Categorical, FloatArray, SearchSpace
 from brink.server.campaigns import step_store, view_store
 from brink.server.campaigns.plan import Plan, restored_archive

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from brink.search.rates import Decision
+from brink.search.conclusions import Decision
 from brink.server.views import View
 
 

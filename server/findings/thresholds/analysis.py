@@ -10,9 +10,10 @@ from sqlalchemy import Connection, Row
 
 from brink.search.analysis.confirmation import Share
 from brink.search.archive import Archive
+from brink.search.conclusions import Outcome
 from brink.search.pairs import Steps
 from brink.search.parameters import Integer
-from brink.search.thresholds import CONFIDENCE, Outcome
+from brink.search.thresholds import CONFIDENCE
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.follow_ups.follow_up import StoredFollowUp
@@ -48,8 +49,9 @@ from brink.server.findings.thresholds.words import (
     window,
     within,
 )
+from brink.server.findings.words import as_sentence
 from brink.server.problems.base import Problem, SimulatedSolution
-from brink.server.problems.changes import as_sentence, changes_between
+from brink.server.problems.changes import changes_between
 
 _ROUNDING: Final = 1e-9
 _CURVE_DIGITS: Final = 5

@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from typing import Final
 
 from brink.search.analysis.confirmation import Confirmation
-from brink.search.thresholds import Outcome
+from brink.search.conclusions import Outcome
 from brink.server.campaigns.follow_ups.follow_up import StoredFollowUp
-from brink.server.campaigns.follow_ups.kinds.confirm import DEFAULT_CONFIRMATIONS
+from brink.server.campaigns.follow_ups.limits import DEFAULT_CONFIRMATIONS
 from brink.server.campaigns.follow_ups.question import question_of, refusal
 from brink.server.campaigns.plan import with_truth
-from brink.server.campaigns.store import ENDED
 from brink.server.campaigns.thresholds import CampaignThresholds, find_stored_thresholds
 from brink.server.findings.finding import Finding, Role, Step, StepRequest, Term
 from brink.server.findings.follow_ups import follow_up_view
@@ -19,7 +18,7 @@ from brink.server.findings.table import Column, Format, Table
 from brink.server.findings.thresholds.analysis import thresholds_view
 from brink.server.findings.thresholds.views import ThresholdsView, ThresholdView
 from brink.server.findings.words import counted
-from brink.server.states import FollowUpKind, Selection
+from brink.server.states import ENDED, FollowUpKind, Selection
 
 MOST_SOLUTIONS: Final = 20_000
 """Largest archive whose lines are estimated for a list; a campaign's page has those of others."""

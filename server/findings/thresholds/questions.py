@@ -7,18 +7,18 @@ from pydantic import Field
 
 from brink.search.analysis.pairs import Pair, Side
 from brink.search.archive import Archive
-from brink.search.thresholds import Outcome
-from brink.server.campaigns.follow_ups.kinds.confirm import DEFAULT_CONFIRMATIONS
-from brink.server.campaigns.follow_ups.question import MOST_PAIRS_FOLLOWED, AskedPairs, question_of
+from brink.search.conclusions import Outcome
+from brink.server.campaigns.follow_ups.limits import DEFAULT_CONFIRMATIONS, MOST_PAIRS_FOLLOWED
+from brink.server.campaigns.follow_ups.question import AskedPairs, question_of
 from brink.server.campaigns.follow_ups.same_episodes import read_seeds
 from brink.server.campaigns.service import CampaignService
-from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.threshold_ends import Ends
 from brink.server.campaigns.thresholds import CampaignThresholds
 from brink.server.documents import Body
 from brink.server.errors import Conflict
 from brink.server.findings.sources import Sources
-from brink.server.states import FollowUpKind
+from brink.server.states import ENDED, FollowUpKind
 
 
 class ThresholdFollowUpBody(Body):

@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from brink.search.analysis.confirmation import Confirmation
-from brink.search.thresholds import Outcome
+from brink.search.conclusions import Outcome
 from brink.server.findings.follow_ups import ShareView
 from brink.server.findings.pairs.views import ComponentPart
 from brink.server.states import CampaignStatus

@@ -10,15 +10,15 @@ from typing import Final, Self
 import numpy as np
 
 from brink.search.archive import Archive
+from brink.search.conclusions import Outcome
 from brink.search.features import Unit
 from brink.search.parameters import Categorical, Value, name_in_words
 from brink.search.space import FloatArray
-from brink.search.thresholds import Outcome
 from brink.server.campaigns.thresholds import CampaignThresholds, Threshold
 from brink.server.findings.pairs.views import ComponentPart
-from brink.server.findings.words import counted
+from brink.server.findings.words import as_sentence, counted
 from brink.server.problems.base import Problem, SimulatedSolution, describe_candidate
-from brink.server.problems.changes import Change, as_sentence, different, instead, share_words
+from brink.server.problems.changes import Change, different, instead, share_words
 
 BLAMED: Final = {
     ComponentPart.NOT_TRIED: "ground truth not tried",

@@ -9,7 +9,7 @@ from brink.search.odd import with_odd
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.detector_check import CellCheck
 from brink.server.campaigns.plan import Plan
-from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
 from brink.server.findings.follow_ups import ShareView
 from brink.server.findings.sources import Sources
@@ -24,8 +24,9 @@ from brink.server.findings.tolerances.views import (
     Tolerated,
     ToleratedView,
 )
+from brink.server.findings.words import as_sentence
 from brink.server.problems.base import Problem, SeverityScale
-from brink.server.problems.changes import as_sentence
+from brink.server.states import ENDED
 from brink.sim.verdict import drives_violate
 
 _NEARLY_ALL = 0.95

@@ -6,22 +6,16 @@ from typing import Final
 
 import numpy as np
 
-from brink.server.campaigns.detector_check import (
-    ALL_DRIVES,
-    CellCheck,
-    CheckResult,
-    Drive,
-    check_detector,
-    read_drives,
-)
+from brink.server.campaigns.detector_check import ALL_DRIVES, CellCheck, Drive, check_detector, read_drives
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.tolerance import CampaignTolerance
 from brink.server.findings.sources import Sources
 from brink.server.findings.tolerances.analysis import CellWords
 from brink.server.findings.tolerances.views import DetectorCell, DetectorConditionView, DetectorView
+from brink.server.findings.words import as_sentence
 from brink.server.problems.base import Problem, RatesMeasuredErrors, SeverityScale
-from brink.server.problems.changes import as_sentence
+from brink.server.states import CheckResult
 from brink.sim.urban.detection_errors import Target
 from brink.sim.urban.error_meter import MEASURED
 from brink.sim.verdict import drives_violate

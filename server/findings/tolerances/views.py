@@ -5,10 +5,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from brink.server.campaigns.detector_check import CheckResult
 from brink.server.findings.follow_ups import ShareView
 from brink.server.findings.table import Table
-from brink.server.states import CampaignStatus
+from brink.server.states import CampaignStatus, CheckResult
 from brink.server.views import View
 
 

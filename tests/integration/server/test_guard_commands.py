@@ -13,7 +13,8 @@ from support.guards import stump_guard
 from typer.testing import CliRunner, Result
 
 from brink.cli.commands import app
-from brink.guard.model import GuardModel, Sensor
+from brink.guard.choices import Sensor
+from brink.guard.model import GuardModel
 from brink.search.analysis import guard_training
 from brink.server.errors import Conflict, InvalidInput
 from brink.sim.errors import GuardFileError

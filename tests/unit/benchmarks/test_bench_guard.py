@@ -10,9 +10,9 @@ from support.guards import REQUIREMENT, drive_with
 from benchmarks import guard as bench_guard
 from benchmarks.guard import RANDOM, SETS, GuardBench, baseline_rows
 from brink.guard import drives as guard_drives
+from brink.guard.choices import Sensor
 from brink.guard.drives import Drive, Recorders
 from brink.guard.features import ALL_FEATURES
-from brink.guard.model import Sensor
 from brink.search.analysis import guard_training
 from brink.sim.episode import EpisodeSpec
 

@@ -6,7 +6,8 @@ import pytest
 from benchmarks import monitor_accuracy
 from benchmarks.monitor_accuracy import MonitorAccuracy, mean_rows
 from benchmarks.trials import Record, Records
-from brink.search.analysis.monitor import Answer, Model
+from brink.search.analysis.choices import Model
+from brink.search.analysis.monitor import Answer
 from brink.sim.episode import EpisodeSpec
 
 

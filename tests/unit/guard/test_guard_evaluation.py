@@ -11,6 +11,7 @@ import pytest
 from support.guards import REQUIREMENT, drive_with, stump_guard
 
 from brink.guard import fitting
+from brink.guard.choices import Sensor
 from brink.guard.drives import Drive, check_verdicts, load_drives, save_drives
 from brink.guard.evaluation import (
     ALWAYS,
@@ -23,7 +24,6 @@ from brink.guard.evaluation import (
     threshold_at,
 )
 from brink.guard.features import ALL_FEATURES, MAX_TTC_S
-from brink.guard.model import Sensor
 from brink.guard.time_to_collision import range_times_s
 from brink.search.analysis.folds import divisions
 from brink.search.analysis.guard_training import FittedHorizons

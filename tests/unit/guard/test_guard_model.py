@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from support.guards import stump_guard
 
-from brink.guard.model import AlarmRule, GuardModel, Sensor
+from brink.guard.choices import Sensor
+from brink.guard.model import AlarmRule, GuardModel, feature_names
 from brink.guard.monitor import Alarm, ModelGuard
 from brink.sim.driving.interface import Command, EgoState, Observation
 from brink.sim.errors import GuardFileError
@@ -26,7 +27,7 @@ def logistic(log_odds: float) -> float:
 
 
 def rows(*speeds_mps: float, sensor: Sensor = Sensor.BOXES) -> np.ndarray:
-    found = np.zeros((len(speeds_mps), len(sensor.features)), np.float32)
+    found = np.zeros((len(speeds_mps), len(feature_names(sensor))), np.float32)
     found[:, 0] = speeds_mps
     return found
 

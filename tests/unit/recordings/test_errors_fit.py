@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-from brink.recordings.fit_errors import FEWEST_DRIVES, TYPES, fit_errors
+from brink.recordings.choices import TYPES
+from brink.recordings.fit_errors import FEWEST_DRIVES, fit_errors
 from brink.recordings.recording import RecordingError
 from brink.report.errors import campaign_yaml, error_rows, error_sentences, errors_yaml
 from brink.search.errors import ConfigError

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from brink.recordings.camera import CameraError, CameraModel
-from brink.recordings.measure import Visibility, contradictions, observe
+from brink.recordings.choices import Visibility
+from brink.recordings.measure import contradictions, observe
 from brink.recordings.recording import Detection, RecordedDrive, Recording, RecordingError, RoadUser, Sides
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import ObstacleLabel

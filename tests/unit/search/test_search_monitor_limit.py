@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from brink.search.analysis import boosted_trees, neighbours
+from brink.search.analysis.choices import Model
 from brink.search.analysis.folds import divisions, kinds_of_solutions
-from brink.search.analysis.monitor import Model, Monitor
+from brink.search.analysis.monitor import Monitor
 from brink.search.space import Component, Real, SearchSpace
 from brink.server.errors import TooCostly, Unavailable
 from brink.server.read_threads import ReadThreads

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from brink.search.analysis import boosted_trees
+from brink.search.analysis.choices import Model
 from brink.search.analysis.coverage import Coverage
-from brink.search.analysis.monitor import Answer, Model, Monitor, default_model
+from brink.search.analysis.monitor import Answer, Monitor, default_model
 from brink.search.analysis.monitor_evaluation import classification_metrics, evaluate_monitor
 from brink.search.errors import DocumentError, MissingExtra
 from brink.search.features import Features

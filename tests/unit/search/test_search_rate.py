@@ -11,10 +11,10 @@ from brink.search.algorithm import Candidate, Draws, Evaluation, Failed, Known, 
 from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig
 from brink.search.algorithms.rate import Rarity, Rate, RateConfig, _drawn
 from brink.search.analysis.rate import claim_of, looks, rate_of, ratio_of, strata_of
+from brink.search.conclusions import Decision
 from brink.search.distribution import distributed
 from brink.search.document import Document
 from brink.search.errors import ConfigError
-from brink.search.rates import Decision
 from brink.search.sequential import exact_interval
 from brink.search.space import BoolArray, Categorical, Component, FloatArray, Real, SearchSpace
 from brink.search.streams import generator

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from brink.search.conclusions import Decision
 from brink.search.rates import (
     SHARES,
     STAKES,
-    Decision,
     Wealth,
     betting_bounds,
     betting_interval,

@@ -5,14 +5,8 @@ import pytest
 from scipy import stats
 
 from brink.search.algorithm import Candidate, Evaluation, Scored
-from brink.search.algorithms.repeats import (
-    Conclusion,
-    Repeats,
-    RepeatsConfig,
-    schedule,
-    simulations_to_clear,
-    tallied,
-)
+from brink.search.algorithms.repeats import Repeats, RepeatsConfig, schedule, simulations_to_clear, tallied
+from brink.search.conclusions import Conclusion
 from brink.search.document import Document
 from brink.search.errors import ConfigError
 from brink.search.testing import Run, example_spaces, play, synthetic_verdicts

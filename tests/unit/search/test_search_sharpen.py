@@ -6,9 +6,9 @@ import pytest
 from brink.search.algorithm import Candidate, Failed, Scored, ask_all
 from brink.search.algorithms.sharpen import TRIES, Sharpen, SharpenConfig, SharpenState, most_simulations
 from brink.search.analysis.lines import find_lines
+from brink.search.conclusions import Outcome
 from brink.search.errors import ConfigError
 from brink.search.space import Categorical, Component, Real, SearchSpace
-from brink.search.thresholds import Outcome
 
 SPACE = SearchSpace(
     (

@@ -6,10 +6,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from brink.search.conclusions import Outcome
 from brink.search.errors import SpaceError
 from brink.search.parameters import ResolutionByChoice
 from brink.search.space import Categorical, Component, Dormant, Extent, Integer, Real, SearchSpace
-from brink.search.thresholds import CurvePrior, Estimate, Outcome, Trials, estimate, next_places
+from brink.search.thresholds import CurvePrior, Estimate, Trials, estimate, next_places
 from brink.search.thresholds.line import Line
 
 Curve = Callable[[float], float]

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from brink.search.archive import Archive, Neighbourhood
+from brink.search.conclusions import Outcome
 from brink.search.space import Categorical
-from brink.search.thresholds import Outcome
 from brink.server.campaigns.body import CampaignBody, parse_body
 from brink.server.campaigns.plan import make_checked_plan, make_plan
 from brink.server.campaigns.thresholds import find_thresholds

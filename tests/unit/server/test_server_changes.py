@@ -8,13 +8,13 @@ from support.urban_pairs import BOX, NONE, SCENARIO
 
 from brink.search.pairs import Steps
 from brink.search.parameters import Categorical
+from brink.server.findings.words import as_sentence
 from brink.server.problems.aeb_crossing import AebCrossing
 from brink.server.problems.base import SimulatedSolution, activity_of
 from brink.server.problems.benchmarks import Mtq
 from brink.server.problems.changes import (
     NOTHING_ACTIVE,
     Change,
-    as_sentence,
     change_words,
     changes_between,
     common_words,

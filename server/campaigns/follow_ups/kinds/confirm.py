@@ -27,12 +27,12 @@ from brink.search.errors import BoundaryTooLarge
 from brink.search.streams import Stream, generator
 from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.follow_ups.follow_up import (
-    MOST,
     FollowUp,
     PlannedFollowUp,
     StoredFollowUp,
     follow_up_body,
 )
+from brink.server.campaigns.follow_ups.limits import DEFAULT_CONFIRMATIONS, MOST
 from brink.server.campaigns.follow_ups.question import (
     AskedPairs,
     Offer,
@@ -42,12 +42,10 @@ from brink.server.campaigns.follow_ups.question import (
     sides_of,
 )
 from brink.server.campaigns.plan import Plan, check_repeatable, find_boundary, prepare_campaign
-from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.errors import FieldError, InvalidInput
-from brink.server.states import FollowUpKind, Selection
+from brink.server.states import ENDED, FollowUpKind, Selection
 
-DEFAULT_CONFIRMATIONS = 30
-"""Maximum number of simulations of each side, to confirm pairs; a clear side takes 15, or 4."""
 _MOST_ERRORS = 20
 
 

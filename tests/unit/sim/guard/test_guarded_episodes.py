@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from support.guards import stump_guard
 
-from brink.guard.model import Sensor
+from brink.guard.choices import Sensor
+from brink.guard.model import feature_names
 from brink.sim.driving.interface import LATENCY_S, PERCEPTION_STEP_S
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
@@ -129,7 +130,7 @@ def test_a_guarded_episode_is_the_same_bit_for_bit() -> None:
 def test_a_fitted_guard_drives_with_the_sensor_that_it_needs(tmp_path: Path, sensor: Sensor) -> None:
     file = tmp_path / "guard.json"
     file.write_text(
-        stump_guard(sensor=sensor, feature=sensor.features[-1], above=-1e4).to_json(), encoding="utf-8"
+        stump_guard(sensor=sensor, feature=feature_names(sensor)[-1], above=-1e4).to_json(), encoding="utf-8"
     )
     settings = {"speed_mps": 4.0}
 
