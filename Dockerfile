@@ -7,6 +7,7 @@ FROM python:3.11-slim AS build
 WORKDIR /src
 COPY pyproject.toml constraints.txt README.md LICENSE ./
 COPY brink brink
+COPY examples examples
 COPY migrations migrations
 COPY search search
 COPY server server

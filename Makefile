@@ -12,7 +12,7 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-all check install dev chromium screenshots reference clean
+.PHONY: help run test test-all check install dev chromium dist screenshots reference clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -62,6 +62,12 @@ screenshots: $(VENV)/.dev  ## retake the documentation's pictures of the dashboa
 
 reference: $(VENV)/.dev  ## write the reference of the Python interface from its docstrings
 	PYTHONPATH=tests $(BIN)/python -m support.python_reference
+
+dist: $(VENV)/.base  ## build the wheel into dist/ and, where there is docker, the image
+	$(PIP) wheel --quiet --no-deps --wheel-dir dist .
+	if command -v docker >/dev/null; then \
+		docker build --tag brink:$$($(BIN)/python -c 'import brink; print(brink.__version__)') .; \
+	else echo 'no docker here: the image is not built'; fi
 
 chromium:  ## install Chromium for the tests of the dashboard, unless it is installed
 	@sh tests/browser/install_chromium.sh

@@ -22,6 +22,7 @@ from brink.worker.log import LogLevel, configure_logging, environment_format
 
 SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "Run": {
+        "examples": ("brink.cli.examples:examples", "List, print and copy the examples"),
         "run": ("brink.cli.run:run", "Run a campaign: coordinator, workers, results, pictures"),
         "init": ("brink.cli.init:init", "Write a campaign file for a program, or an OpenSCENARIO file"),
         "try": ("brink.cli.try_:try_", "Run one episode of a command or FMU, and show its signals"),

@@ -78,6 +78,7 @@ class RunOptions:
         database: Database URL; None takes the default one.
         port: Port of the coordinator; 0 picks a free port, None the usual one unless it is in use.
         sizes: Options that change what the file says.
+        named: How the command named the file, such as ``--example quickstart``; by default its path.
         group: Command group of the command, with a trailing space; empty for campaigns.
     """
 
@@ -90,12 +91,13 @@ class RunOptions:
     database: str | None = None
     port: int | None = None
     sizes: tuple[str, ...] = ()
+    named: str = ""
     group: str = ""
 
     @property
     def resume_command(self) -> str:
         """The command that continues the run."""
-        return " ".join([f"{self.group}run", quote(str(self.file)), *self.sizes, "--resume"])
+        return " ".join([f"{self.group}run", self.named or quote(str(self.file)), *self.sizes, "--resume"])
 
 
 def run_locally(

@@ -12,12 +12,12 @@ import typer
 from rich.text import Text
 
 from brink.api.live import CampaignDisplay, Steps, failures_of
+from brink.cli.examples import example_named
 from brink.cli.findings import print_findings, print_steps
 from brink.cli.follow_ups import ask_by_default
 from brink.cli.local import CommandSession, RunOptions, run_to_end
 from brink.cli.options import (
     RESULTS,
-    CampaignFile,
     Database,
     New,
     Odd,
@@ -35,6 +35,7 @@ from brink.cli.repeats import repeat_finished, write_repeats
 from brink.search.sequential import exact_interval
 from brink.server.api.schemas import OutcomesView, Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
+from brink.server.errors import InvalidInput
 from brink.server.findings.boundary.repeat_views import RepeatsView
 from brink.server.findings.finding import Findings
 from brink.server.findings.words import percent
@@ -49,7 +50,15 @@ log = logging.getLogger(__name__)
 
 
 def run(
-    file: CampaignFile,
+    file: Annotated[
+        Path | None, typer.Argument(metavar="FILE", help="Campaign file (YAML or JSON).", show_default=False)
+    ] = None,
+    example: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", show_default=False, help="Run an example in place of a file: brink examples."
+        ),
+    ] = None,
     workers: Workers = 2,
     database: Database = None,
     resume: Resume = False,
@@ -73,14 +82,31 @@ def run(
     Ctrl-C stops cleanly; the same command with --resume continues.
 
     Example: brink run examples/quickstart.yaml --workers 2
+
+    Example: brink run --example quickstart
     """
     from brink.api.runs import CampaignRun
     from brink.server.campaigns.plan import check_submission
     from brink.server.problems.catalogue import check_extra
 
+    named = ""
+    if example is not None:
+        if file is not None:
+            raise InvalidInput.at("--example", "cannot be combined with a file")
+        chosen = example_named(example, "--example")
+        if chosen.is_experiment:
+            raise InvalidInput.at(
+                "--example",
+                f"{chosen.name} is an experiment: copy it with {program()} examples {chosen.name} --to DIR, then use "
+                f"{program()} experiment run",
+            )
+        file, named = chosen.file, f"--example {chosen.name}"
+    if file is None:
+        raise typer.BadParameter("expected a campaign file, or --example NAME", param_hint="FILE")
     body = read_campaign_file(file).within_odd(read_odd(odd))
     options = RunOptions(
         file=file,
+        named=named,
         workers=workers,
         out=out,
         resume=resume,

@@ -52,7 +52,7 @@ def test_importing_brink_loads_no_heavy_module() -> None:
     assert printed.splitlines() == ["1.0.0", ""]
 
 
-@pytest.mark.parametrize("name", ["migrations", "search", "server", "sim", "worker"])
+@pytest.mark.parametrize("name", ["examples", "migrations", "search", "server", "sim", "worker"])
 def test_every_top_level_folder_is_part_of_the_package(name: str) -> None:
     link = ROOT / "brink" / name
 
