@@ -83,11 +83,11 @@ def test_a_pair_is_followed_up_from_the_list_and_the_answer_appears_on_its_page(
     shown(page.get_by_role("link", name="pair 1", exact=True)).to_be_visible()
     blame = page.get_by_role("group", name="Is the component to blame?")
     shown(blame.get_by_text(re.compile(r"^\d+ simulations?\.$"))).to_be_visible()
-    blame.get_by_role("button", name="Blame the component").click()
+    blame.get_by_role("button", name="Simulate with ground truth").click()
     shown(blame.get_by_text("All unsafe sides have been simulated with ground truth.")).to_be_visible(
         timeout=60_000
     )
-    shown(blame.get_by_role("button", name="Blame the component")).to_be_disabled()
+    shown(blame.get_by_role("button", name="Simulate with ground truth")).to_be_disabled()
     shown(blame.get_by_text("finished")).to_be_visible()
     after, _ = a_pair(site.client, campaign, NEAREST)
     row = page.get_by_role("row").filter(has=page.get_by_role("link", name="pair 1", exact=True))

@@ -396,7 +396,7 @@ def _component(subject: Subject, sharp: Sequence[ThresholdView]) -> Step | None:
         subject,
         FollowUpKind.COMPONENT,
         question="Is the component to blame?",
-        label="Blame the component",
+        label="Simulate with ground truth",
         words="Simulates each unsafe end once more, with ground truth in place of the component.",
         cost=f"It takes at most {len(sharp):,} simulations.",
         by_default=subject.role is Role.SOUGHT,

@@ -24,7 +24,7 @@ class Component(Question):
 
     kind = FollowUpKind.COMPONENT
     title = "Is the component to blame?"
-    label = "Blame the component"
+    label = "Simulate with ground truth"
     option = "--component"
     words = "Simulates each unsafe side once more, with ground truth in place of the component."
     simulates = "each unsafe side with ground truth in place of the component"
