@@ -98,7 +98,7 @@ def test_an_experiment_compares_methods_by_their_thresholds(
         FakeWorker(own, judge=by_seed).work(member["campaign"])
     page = visit(origin(own), f"#/experiments/{experiment['id']}")
     card = page.get_by_role("region", name="Thresholds", exact=True)
-    shown(card).to_contain_text("no ends were simulated with other seeds, so none is confirmed")
+    shown(card).to_contain_text("none of them was simulated again with other seeds, so none is confirmed")
     shown(card).to_contain_text("along and scattered: distinct thresholds 1.0 against 0.0")
     row = card.get_by_role("row").filter(has=page.get_by_role("rowheader", name="along", exact=True))
     shown(row.get_by_role("cell")).to_have_text(["–", "–", "1.0 (1.0 to 1.0)", "1.0 (1.0 to 1.0)", "–", "–"])
