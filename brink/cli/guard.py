@@ -285,7 +285,7 @@ def _source(
     server: str | None,
     *,
     requirement: Sequence[str] | None,
-    default: PluginChoice = DEFAULT_PROBLEM,
+    default: PluginChoice = PluginChoice(id=DEFAULT_PROBLEM),
 ) -> _Source:
     """Return the source of drives, checked before anything slow begins.
 

@@ -75,7 +75,7 @@ def drive(
             metavar="ID",
             show_default=False,
             help="Problem from whose space drives are drawn (default: the guard's own, with its parameters; "
-            f"{DEFAULT_PROBLEM.id} for a guard that needs no fitting).",
+            f"{DEFAULT_PROBLEM} for a guard that needs no fitting).",
         ),
     ] = None,
     param: Annotated[
@@ -196,7 +196,7 @@ def _choice(
     """
     from brink.guard.drives import problem_of, with_requirements
 
-    own = DEFAULT_PROBLEM if model is None else problem_of(model.about)
+    own = PluginChoice(id=DEFAULT_PROBLEM) if model is None else problem_of(model.about)
     base = own if problem_id in (None, own.id) else PluginChoice(id=str(problem_id))
     merged = PluginChoice(id=base.id, params={**base.params, **params})
     limits = base.params.get("odd")

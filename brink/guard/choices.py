@@ -1,11 +1,10 @@
-"""Choices and defaults of guards: cheap to import."""
+"""Choices and defaults of guards: cheap to import, also for guards in a car, which have numpy alone."""
 
 from enum import StrEnum
 from typing import Final
 
-from brink.server.campaigns.body import PluginChoice
-
-DEFAULT_PROBLEM: Final = PluginChoice(id="urban-injected@1")
+DEFAULT_PROBLEM: Final = "urban-injected@1"
+"""The problem whose drives are run if nothing else is said."""
 FALSE_ALARMS: Final = 0.05
 """The share of safe drives with an alarm at which predictors are compared."""
 FIRST_SEED: Final = 9001

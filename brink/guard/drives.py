@@ -131,11 +131,11 @@ def problem_of(about: Mapping[str, Any]) -> PluginChoice:
     """
     stored = about.get("problem")
     if not isinstance(stored, Mapping):
-        return DEFAULT_PROBLEM
+        return PluginChoice(id=DEFAULT_PROBLEM)
     try:
         return PluginChoice.model_validate(stored)
     except ValueError:
-        return DEFAULT_PROBLEM
+        return PluginChoice(id=DEFAULT_PROBLEM)
 
 
 def with_requirements(choice: PluginChoice, requirements: Sequence[str]) -> PluginChoice:
