@@ -230,7 +230,7 @@ async def _check_extras(api: Api, experiment: str) -> None:
 
 
 def _is_known(one: FoundRepeat, request: Mapping[str, Any]) -> bool:
-    """Return whether a follow-up, given by its request, would show nothing new about a campaign."""
+    """Return whether a follow-up with this request would tell nothing new about a campaign."""
     if one.computed or not one.total:
         return True
     if request["kind"] == FollowUpKind.COMPONENT:

@@ -4,7 +4,7 @@ from enum import StrEnum
 from typing import Final
 
 DEFAULT_PROBLEM: Final = "urban-injected@1"
-"""The problem whose drives are run if nothing else is said."""
+"""The problem that is driven unless another is named."""
 FALSE_ALARMS: Final = 0.05
 """The share of safe drives with an alarm at which predictors are compared."""
 FIRST_SEED: Final = 9001

@@ -72,8 +72,8 @@ def own_database(sqlite_file: Path, tmp_path: Path) -> str:
 
 @pytest.fixture
 def own(own_database: str) -> Iterator[httpx.Client]:
-    """A coordinator of the test's own, without a worker."""
-    with small_problems(), listening_coordinator(own_database) as client:
+    """A coordinator of the test's own, without a worker; one that it has heard of stays live for the whole test."""
+    with small_problems(), listening_coordinator(own_database, worker_seen_s=3600.0) as client:
         yield client
 
 

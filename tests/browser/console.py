@@ -43,10 +43,6 @@ class Console:
         for status in statuses:
             self._expected.setdefault(_REFUSED.format(status=status), 0)
 
-    def allow_status(self, status: int) -> None:
-        """Take no notice of answers of this status, whether they come or not."""
-        self._expected[_REFUSED.format(status=status)] = 1
-
     def expect_lost_connections(self) -> None:
         """Expect connections to be lost from now on; one has to be."""
         self._expected.setdefault(_LOST, 0)

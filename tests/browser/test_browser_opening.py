@@ -10,7 +10,6 @@ from playwright.sync_api import expect as shown
 from support.api import FakeWorker, ball, coordinator, eventually, expect, finish, progress, submit
 from support.problems import small_problems
 
-from browser.console import Console
 from browser.served import API, NOBODYS, PATIENCE_S, Served, origin
 from browser.visits import Visits
 
@@ -47,9 +46,8 @@ def own_database(request: pytest.FixtureRequest, sqlite_file: Path, tmp_path: Pa
 
 
 @pytest.fixture
-def edge(own: httpx.Client, searched: tuple[Path, str], console: Console) -> str:
+def edge(own: httpx.Client, searched: tuple[Path, str]) -> str:
     """A finished search for pairs on the ball, in the test's own coordinator, which has heard of a worker."""
-    console.allow_status(503)  # pictures of pairs, once it has not heard of the worker for long
     FakeWorker(own).lease()
     return searched[1]
 

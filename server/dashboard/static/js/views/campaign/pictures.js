@@ -18,7 +18,7 @@ const LOW = 84;
  * @param {Context} context
  * @param {string} label
  * @param {string} meaning Of the pictures.
- * @param {() => void} none Called when none of them can be drawn.
+ * @param {() => void} none Called if no picture can be drawn.
  */
 function pictured(context, label, meaning, none) {
   const row = h("div.best-pairs");
