@@ -11,7 +11,7 @@ from typing import Any, Final
 from brink.api.results import FetchedArchive
 from brink.search.analysis.confirmation import Share
 from brink.search.sequential import LIMIT, Verdict
-from brink.server.campaigns.body import CampaignBody
+from brink.server.campaigns.body import CampaignBody, changes_with_files
 from brink.server.campaigns.follow_ups.kinds.confirm import drives_by_solution, named_repeats_body
 from brink.server.campaigns.plan import make_plan
 from brink.server.errors import InvalidInput
@@ -34,9 +34,10 @@ def changed_campaign(
         repeats: Most simulations of each side.
 
     Raises:
-        InvalidInput: The problem has no such parameter or value, or another space with it.
+        InvalidInput: The problem has no such parameter or value, or another space with it, or a program cannot run.
     """
     problem = fetched.body.problem
+    changes = changes_with_files(changes, "--set")
     params = {**problem.params, **changes}
     if "driving" in changes and "driving_settings" in problem.params:
         params["driving_settings"] = changes.get("driving_settings", {})

@@ -14,6 +14,7 @@ from brink.cli.findings import print_table
 from brink.cli.local import CommandSession, check_extra_of, run_locally, stopping
 from brink.cli.options import print_json, settings_with, with_api
 from brink.server.api.schemas import Progress
+from brink.server.campaigns.plan import make_plan
 from brink.server.errors import Conflict
 from brink.server.findings.pairs.views import PairsView
 from brink.server.states import CampaignStatus
@@ -47,7 +48,8 @@ class ChangedPairs:
             return with_api(server, database, lambda api: self._show(api, as_json=as_json))
 
         async def work(session: CommandSession) -> bool:
-            name = (await self._found(session.api))[0]
+            name, *_, run = await self._found(session.api)
+            make_plan(run.body).problem.install()
             progress = await session.api.read(Progress, f"/campaigns/{name}/progress")
             if progress.status in OPEN:
                 await check_extra_of(session.api, name)

@@ -23,6 +23,7 @@ class Idm:
     def __init__(self, start: Start) -> None:
         self.route, self.car = start.route, start.car
         self.headway_s = float(str(start.settings.get("headway_s", 1.4)))
+        self.brake_mps2 = float(str(start.settings.get("brake_mps2", 8.0)))
         self.leaders: list[tuple[float, float]] = []
 
     def step(self, observation: Observation) -> Decision:
@@ -44,7 +45,7 @@ class Idm:
         accel = min(accel, self.idm(ego.speed_mps, wanted_mps, math.inf, 0.0))
         braking = accel < -0.5
         return Decision(
-            accel_mps2=max(accel, -8.0),
+            accel_mps2=max(accel, -self.brake_mps2),
             steer_rad=self.steer(observation),
             mode="follow" if braking else "cruise",
             target_speed_mps=wanted_mps,

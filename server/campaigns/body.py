@@ -381,6 +381,30 @@ def _with_rows(distribution: Mapping[str, Any], folder: Path, pointer: str) -> d
     return {**others, ROWS: rows_of_table(columns, [line for line in lines[1:] if line])}
 
 
+def _with_program(params: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    if not str(params.get("driving")).startswith("command:"):
+        return dict(params)
+    from brink.sim.driving_systems.command import read_reference  # loads the driving world
+
+    return {**params, "driving": read_reference(str(params["driving"]), folder)}
+
+
+def changes_with_files(changes: Mapping[str, Any], option: str) -> dict[str, Any]:
+    """Return changes of the parameters of a problem, with the id of a program that is named by its file.
+
+    Args:
+        changes: New values by name.
+        option: What gave the changes, for errors.
+
+    Raises:
+        InvalidInput: The file is no definition, or the program cannot run here.
+    """
+    try:
+        return _with_program(changes, Path())
+    except DefinitionError as error:
+        raise InvalidInput.at(f"{option} {error.field}", str(error)) from None
+
+
 def with_files(body: CampaignBody, folder: Path) -> CampaignBody:
     """Return a campaign whose problem takes its files along; see `problem_with_files`."""
     return body.model_copy(update={"problem": problem_with_files(body.problem, folder, "/problem")})
@@ -401,10 +425,7 @@ def problem_with_files(problem: Problem, folder: Path, pointer: str) -> Problem:
     try:
         for reader in entry_points(group=PROBLEM_FILES, name=problem.id):
             params = reader.load()(params, folder)
-        if str(params.get("driving")).startswith("command:"):
-            from brink.sim.driving_systems.command import read_reference  # loads the driving world
-
-            params["driving"] = read_reference(str(params["driving"]), folder)
+        params = _with_program(params, folder)
     except DefinitionError as error:
         raise InvalidInput.at(f"{pointer}/params/{error.field}", str(error)) from None
     if isinstance(distribution := params.get("distribution"), Mapping) and "from" in distribution:

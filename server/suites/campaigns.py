@@ -17,7 +17,7 @@ from brink.search.errors import SearchError
 from brink.search.space import FloatArray, SearchSpace
 from brink.search.streams import episode_seed
 from brink.search.wald import MOST
-from brink.server.campaigns.body import Budget, CampaignBody, Execution, PluginChoice
+from brink.server.campaigns.body import Budget, CampaignBody, Execution, PluginChoice, changes_with_files
 from brink.server.campaigns.known import encoded_row
 from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.documents import hash_document, placed_in_file
@@ -160,9 +160,10 @@ def prepare_runs(
         option: What gave the changes, for errors.
 
     Raises:
-        InvalidInput: No problem has a parameter that is to be changed.
+        InvalidInput: No problem has a parameter that is to be changed, or a program cannot run.
     """
     check_changes(file, changes, option)
+    changes = changes_with_files(changes, option)
     cases = cases_of(file)
     runs = []
     for system_name, system in file.systems.items():

@@ -9,11 +9,17 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.running import assert_gone, parent_of, running
 
 import brink
+from brink.server.campaigns.body import CampaignBody
+from brink.server.campaigns.plan import make_plan
 from brink.server.errors import InvalidInput
+from brink.server.suites.campaigns import prepare_runs
+from brink.server.suites.file import Drive, Entry, SuiteFile, System
+from brink.sim.driving_systems.command import is_id
 from brink.sim.programs.installed import COMMANDS_VARIABLE
 
 CHILD = Path(__file__).resolve().parents[2] / "support" / "driving_child.py"
@@ -24,6 +30,8 @@ CAMPAIGN = {
     "budget": {"simulations": 12},
     "seed": 3,
 }
+
+OWN = {**CAMPAIGN, "problem": {"id": "urban-errors@1", "params": {"duration_s": 5.0}}}
 
 
 @pytest.fixture
@@ -82,3 +90,22 @@ def test_a_program_that_cannot_run_here_is_an_error_at_submission(
         Path("planner.yaml").write_text(json.dumps(definition))
     with pytest.raises(InvalidInput, match=f"problem.params.driving: .*{message}"):
         brink.run("campaign.yaml", progress=False)
+
+
+@pytest.mark.usefixtures("_here")
+def test_a_suite_names_a_program_by_its_file() -> None:
+    space = make_plan(CampaignBody.model_validate(OWN)).problem.space
+    decoded = space.decode(space.sample(np.random.default_rng(3)))
+    values = {f"{part}.{name}": value for part, given in decoded.items() for name, value in given.items()}
+    system = System(problem="urban-errors@1", params={"duration_s": 5.0}, simulator="brink-drive-errors@2")
+    drive = Drive(expect="safe", found="2026-11-29", values=values)
+    entry = Entry(name="one", system="urban-errors", seed=1, safe=drive)
+    suite = SuiteFile(suite=1, systems={"urban-errors": system}, entries=[entry])
+    changes = {"driving": "command:planner.yaml"}
+    with pytest.raises(InvalidInput, match=r"--set driving: .*planner.yaml: cannot be read"):
+        prepare_runs(suite, changes, name="suite")
+    Path("planner.yaml").write_text(json.dumps({"command": [sys.executable, str(CHILD), "", "mark"]}))
+    (run,) = prepare_runs(suite, changes, name="suite")
+    assert run.refused == ()
+    assert run.body is not None
+    assert is_id(run.body.problem.params["driving"])
