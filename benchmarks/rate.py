@@ -2,23 +2,26 @@
 
 Every repetition is a whole search against a function of six numbers. Its interval at every look misses the rate if
 the bettors on either side of it ever become rich enough to exclude it. Plain Monte Carlo with as many simulations is
-beside it.
+beside it. Finished searches are kept in a folder, so that a measurement goes on after an interruption.
 """
 
-from collections.abc import Callable, Iterator
+import json
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from benchmarks.measurement import Progress
+from benchmarks.trials import code_fingerprint
 from brink.search.algorithm import Candidate, Draws, Evaluation, Scored
 from brink.search.algorithms.rate import Rate, RateConfig
 from brink.search.analysis.rate import rate_of
 from brink.search.conclusions import Decision
 from brink.search.document import Document
-from brink.search.rates import Wealth, betting_interval
+from brink.search.rates import Terms, Wealth, betting_interval
 from brink.search.sequential import exact_interval
 from brink.search.space import Component, FloatArray, Real, SearchSpace
 from brink.search.streams import generator
@@ -27,6 +30,8 @@ from brink.search.testing import play
 RATES: Final = (0.1, 0.01, 0.001)
 SHAPES: Final = ("smooth", "spiky", "half random")
 AT_EVERY_LOOK, FIXED_NUMBER, NEVER_BELOW = 0.94, 0.93, 0.90
+CODE: Final = ("search", "benchmarks/rate.py")
+"""Files that decide what a search finds."""
 _CHANCE, _SPIKES = 1_000, 8
 _HOT, _COLD = 0.5, 0.2
 """Half random: half of what is in a corner is unsafe, and a fifth of all that is unsafe is elsewhere."""
@@ -106,7 +111,9 @@ class RateCoverage:
         )
 
 
-def measure(repetitions: int, budget: int, seed: int, report: Progress) -> Iterator[RateCoverage]:
+def measure(
+    repetitions: int, budget: int, seed: int, report: Progress, folder: Path, rates: Sequence[float] = RATES
+) -> Iterator[RateCoverage]:
     """Measure coverage and savings on every function.
 
     Args:
@@ -114,14 +121,30 @@ def measure(repetitions: int, budget: int, seed: int, report: Progress) -> Itera
         budget: Simulations of a search, for the largest rate; ten times as many for the smallest.
         seed: Seed of the first search.
         report: Told of progress.
+        folder: Where finished searches are kept, by the code that made them.
+        rates: Some of `RATES`.
     """
-    for shape in SHAPES:
-        for rate in RATES:
-            runs = []
-            for number in range(repetitions):
-                runs.append(_run(shape, rate, seed + number, round(budget * (0.1 / rate) ** 0.5)))
-                report(f"{shape}, {rate:g}", number + 1, repetitions)
-            yield _summary(shape, rate, np.array(runs))
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / f"searches-{code_fingerprint(CODE)}.jsonl"
+    kept = {}
+    for line in file.read_text().splitlines() if file.exists() else ():
+        try:
+            one = json.loads(line)
+        except json.JSONDecodeError:  # the line that an interruption cut off
+            continue
+        kept[tuple(one["search"])] = one["found"]
+    with file.open("a") as out:
+        for shape in SHAPES:
+            for rate in rates:
+                runs = []
+                for number in range(repetitions):
+                    search = (shape, rate, seed + number, round(budget * (0.1 / rate) ** 0.5))
+                    if search not in kept:
+                        kept[search] = _run(*search)
+                        print(json.dumps({"search": search, "found": kept[search]}), file=out, flush=True)
+                    runs.append(kept[search])
+                    report(f"{shape}, {rate:g}", number + 1, repetitions)
+                yield _summary(shape, rate, np.array(runs))
 
 
 def _run(shape: str, rate: float, seed: int, budget: int) -> list[float]:
@@ -130,18 +153,18 @@ def _run(shape: str, rate: float, seed: int, budget: int) -> list[float]:
     run = play(Rate(), SPACE, RateConfig(in_flight=2), evaluate, seed=seed, budget=budget)
     draws: Draws = Rate().draws(Document.from_bytes(run.documents[-1]), run.archive)
     found = rate_of(draws, 0.95)
-    wealth = Wealth.of(rate, 0.975).after(draws.unsafe_values(), draws.bounds)
+    wealth = Wealth.of(rate, 0.975).after(draws.terms())
     unsafe = int(generator(seed, _CHANCE, 0, 1).binomial(budget, rate))
     plain = np.zeros(budget)
     plain[:unsafe] = 1.0
     widths = [
         found.interval[1] - found.interval[0],
         found.fixed[1] - found.fixed[0],
-        float(-np.subtract(*betting_interval(plain, np.ones(budget)))),
+        float(-np.subtract(*betting_interval(Terms.of(plain, np.ones(budget))))),
         float(-np.subtract(*exact_interval(unsafe, budget, 0.95))),
     ]
     held = wealth.decided.decision is Decision.NOT_SHOWN
-    return [held, found.fixed[0] <= rate <= found.fixed[1], found.rate, budget, *widths]
+    return [float(held), float(found.fixed[0] <= rate <= found.fixed[1]), found.rate, budget, *widths]
 
 
 def _summary(shape: str, rate: float, runs: FloatArray) -> RateCoverage:

@@ -20,7 +20,7 @@ are not candidates, have no number, and are neither in the archive nor part of t
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Any, ClassVar, Final, Protocol, Self, TypeAlias, TypeVar, runtime_checkable
 
@@ -28,6 +28,7 @@ import numpy as np
 
 from brink.search.archive import Archive
 from brink.search.document import Document
+from brink.search.rates import Terms
 from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace, frozen_array
 from brink.search.traffic.participants import Solution
 
@@ -441,7 +442,9 @@ class WarmStarts(Protocol[C_contra, S_co]):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Draws:
-    """Simulations whose weighted verdicts have the rate of unsafe solutions in operation as their mean.
+    """Simulations whose terms have the rate of unsafe solutions in operation as their mean.
+
+    The term of a simulation is its `base`, and its weight on top of that if it is unsafe.
 
     Attributes:
         numbers: Numbers of the candidates, ascending, shape ``(n,)``.
@@ -449,6 +452,10 @@ class Draws:
         bounds: The largest weight that each could have had, fixed before it was drawn, >= 1, shape ``(n,)``.
         unsafe: Whether each is unsafe, shape ``(n,)``.
         failed: Whether each has no verdict, shape ``(n,)``.
+        base: The term of a safe simulation: 0, or that of a control variate, with expectation 0, shape ``(n,)``.
+        reach: How far base may be from 0, fixed before the simulation was drawn, shape ``(n,)``.
+        pace: How many times as much each counts as a plain simulation, because it is expected to vary less; fixed
+            before it was drawn, shape ``(n,)``.
     """
 
     numbers: IntArray
@@ -456,14 +463,54 @@ class Draws:
     bounds: FloatArray
     unsafe: BoolArray
     failed: BoolArray
+    base: FloatArray
+    reach: FloatArray
+    pace: FloatArray
 
-    def unsafe_values(self, *, failed: bool = False) -> FloatArray:
-        """Return the weights of unsafe simulations, and 0 for all others, shape ``(n,)``.
+    @classmethod
+    def plain(
+        cls,
+        numbers: IntArray,
+        unsafe: BoolArray,
+        failed: BoolArray,
+        *,
+        weights: FloatArray | None = None,
+        bounds: FloatArray | None = None,
+    ) -> Self:
+        """Return draws without a control variate; with weights of 1 if none are given."""
+        ones, none = np.ones(len(numbers)), np.zeros(len(numbers))
+        return cls(
+            numbers=numbers,
+            weights=ones if weights is None else weights,
+            bounds=ones if bounds is None else bounds,
+            unsafe=unsafe,
+            failed=failed,
+            base=none,
+            reach=none,
+            pace=ones,
+        )
+
+    def some(self, which: BoolArray | slice) -> Self:
+        """Return some of the draws."""
+        return replace(self, **{one.name: getattr(self, one.name)[which] for one in fields(self)})
+
+    def unsafe_values(self) -> FloatArray:
+        """Return the weights of unsafe simulations, and 0 for all others, shape ``(n,)``."""
+        return np.where(self.unsafe, self.weights, 0.0)
+
+    def terms(self, *, failed: bool = False) -> Terms:
+        """Return the terms, whose mean is the rate.
 
         Args:
-            failed: Whether those without a verdict count as unsafe.
+            failed: Whether simulations without a verdict count as unsafe.
         """
-        return np.where(self.unsafe | (self.failed & failed), self.weights, 0.0)
+        counted = self.unsafe | (self.failed & failed)
+        return Terms(
+            values=self.base + np.where(counted, self.weights, 0.0),
+            low=-self.reach,
+            high=self.bounds + self.reach,
+            pace=self.pace,
+        )
 
 
 @runtime_checkable
@@ -477,6 +524,66 @@ class EstimatesRate(Protocol):
             document: The document that `Algorithm.dump` returned.
             archive: The archive of the state at that time.
         """
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RareLevel:
+    """What one level of subset simulation gave.
+
+    Attributes:
+        threshold: The robustness that defines the next level; 0 at the last, which is that of unsafe samples.
+        share: Share of its samples that belong to the next level.
+        variation: Estimated coefficient of variation of the share; None if it is 0.
+        samples: Its samples.
+        simulations: Those that were simulated in it.
+        accepted: Moves that were accepted.
+    """
+
+    threshold: float
+    share: float
+    variation: float | None
+    samples: int
+    simulations: int
+    accepted: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LevelEstimate:
+    """A small rate as a product of shares.
+
+    Attributes:
+        levels: The finished levels.
+        ended: Why the search has ended.
+        rate: The estimate; None until unsafe samples are reached, as are all others.
+        low: Lower end of an approximate interval.
+        high: Its upper end.
+        variation: Estimated coefficient of variation if levels are independent.
+        most_variation: The same if they depend on each other as much as possible, on which the interval rests.
+        bias: The largest bias that this allows for, as a share of the rate.
+    """
+
+    levels: tuple[RareLevel, ...]
+    ended: str
+    rate: float | None
+    low: float | None
+    high: float | None
+    variation: float | None
+    most_variation: float | None
+    bias: float | None
+
+
+@runtime_checkable
+class EstimatesByLevels(Protocol):
+    """An algorithm that estimates a small rate as a product of shares."""
+
+    def level_estimate(self, document: Document, confidence: float) -> LevelEstimate:
+        """Return the rate that the finished levels give.
+
+        Args:
+            document: The document that `Algorithm.dump` returned.
+            confidence: Confidence of the interval, in (0, 1).
+        """
+        ...
 
 
 class Origin(StrEnum):

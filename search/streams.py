@@ -29,6 +29,7 @@ class Stream(IntEnum):
     ERRORS = 14
     THRESHOLDS = 15
     RATE = 16
+    SUBSET = 17
     DEEPJANUS = 20
     STRADDLE = 21
     BSV = 22

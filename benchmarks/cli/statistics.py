@@ -1,6 +1,7 @@
 """`python -m benchmarks coverage` and `rate`: how often intervals and tests are right when the truth is known."""
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -73,19 +74,28 @@ def rate(
         int, typer.Option(min=100, help="Simulations of a search where the rate is 0.1.")
     ] = 1_000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first search.")] = 1,
+    rate: Annotated[
+        list[float] | None, typer.Option(help="Rate of the functions, 0.1, 0.01 or 0.001; by default all.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for finished searches.")] = Path("rate"),
     as_json: AsJson = False,
 ) -> None:
     """Measure whether the intervals of rate@1 hold on functions of known rates, and what they save.
 
     Beside plain Monte Carlo with as many simulations: a width below 1 is a narrower interval, a variance above 1 a
-    smaller one.
+    smaller one. Finished searches are kept in the folder, so the same command continues after an interruption.
 
     Example: python -m benchmarks rate --repetitions 40
-    """
-    from benchmarks.rate import measure
 
+    Example: python -m benchmarks rate --repetitions 40 --rate 0.1
+    """
+    from benchmarks.rate import RATES, measure
+
+    if unknown := set(rate or ()) - set(RATES):
+        known = ", ".join(f"{one:g}" for one in RATES)
+        raise typer.BadParameter(f"--rate: expected some of {known}, got {min(unknown):g}")
     with show_progress() as progress:
-        found = list(measure(repetitions, simulations, seed, progress))
+        found = list(measure(repetitions, simulations, seed, progress, out, rate or RATES))
     table = value_table(
         ("function", "rate", "at every look", "fixed number", "bias", "variance", "width", "fixed width", ""),
         (

@@ -86,8 +86,6 @@ def run(
     Example: brink run --example quickstart
     """
     from brink.api.runs import CampaignRun
-    from brink.server.campaigns.plan import check_submission
-    from brink.server.problems.catalogue import check_extra
 
     named = ""
     if example is not None:
@@ -103,7 +101,6 @@ def run(
         file, named = chosen.file, f"--example {chosen.name}"
     if file is None:
         raise typer.BadParameter("expected a campaign file, or --example NAME", param_hint="FILE")
-    body = read_campaign_file(file).within_odd(read_odd(odd))
     options = RunOptions(
         file=file,
         named=named,
@@ -115,21 +112,38 @@ def run(
         database=database,
         port=port,
     )
-    with about_file(file):
-        checked, _ = check_submission(body)
-        check_extra(checked.plan.problem)
-    checked.plan.problem.install()
-    screen = console(stderr=as_json)
+    body = checked_body(options, odd)
     complete = run_to_end(
         CampaignRun(body, pictures=pictures),
         options,
-        screen,
+        (screen := console(stderr=as_json)),
         CampaignDisplay(screen),
         lambda session, progress: _finish(
             session, progress, body, options, pictures=pictures, replays=replays
         ),
     )
     raise typer.Exit(int(not complete))
+
+
+def checked_body(options: RunOptions, odd: Path | None = None) -> CampaignBody:
+    """Return the campaign of a file once it is known that this machine can run it.
+
+    Args:
+        options: The command's options.
+        odd: A file with an ODD; None for that of the campaign file.
+
+    Raises:
+        CoordinatorError: The file is wrong, or an extra is not installed.
+    """
+    from brink.server.campaigns.plan import check_submission
+    from brink.server.problems.catalogue import check_extra
+
+    body = read_campaign_file(options.file).within_odd(read_odd(odd))
+    with about_file(options.file):
+        checked, _ = check_submission(body)
+        check_extra(checked.plan.problem)
+    checked.plan.problem.install()
+    return body
 
 
 async def _finish(

@@ -55,12 +55,10 @@ class RandomSearch(WarmLedgerAlgorithm[RandomSearchConfig, RandomSearchState]):
         told = document.header["archived"] + sum(len(document.arrays[one]) for one in ("failed", "measured"))
         numbers = np.arange(min(len(document.arrays.get("points", ())), told), told)
         place = dict(zip(archive.numbers.tolist(), archive.unsafe.tolist(), strict=True))
-        return Draws(
-            numbers=numbers,
-            weights=np.ones(len(numbers)),
-            bounds=np.ones(len(numbers)),
-            unsafe=np.array([place.get(number, False) for number in numbers.tolist()], np.bool_),
-            failed=np.array([number not in place for number in numbers.tolist()], np.bool_),
+        return Draws.plain(
+            numbers,
+            np.array([place.get(number, False) for number in numbers.tolist()], np.bool_),
+            np.array([number not in place for number in numbers.tolist()], np.bool_),
         )
 
     def _min_budget(self, space: SearchSpace, config: RandomSearchConfig) -> int:

@@ -1,9 +1,8 @@
 """`rate@1`: how often solutions are unsafe in operation, with an interval that holds.
 
 The rate p is the probability that a solution drawn from the operational distribution (`brink.search.distribution`),
-with an episode seed of its own, is unsafe. Simulation i adds X_i, its importance weight if it is unsafe, else 0. Its
-expectation is p whatever was simulated before and however wrong the surrogate is, so that the interval
-(`brink.search.rates`) needs no model to be right.
+with an episode seed of its own, is unsafe. Simulation i adds a term X_i whose expectation is p whatever was simulated
+before and however wrong the surrogate is, so that the interval (`brink.search.rates`) needs no model to be right.
 
 How a candidate is drawn: a pool of its own is drawn from the distribution, and one of the pool is simulated. With the
 probability alpha that is any of them; otherwise each is as likely as its importance g. The weight of the one with
@@ -11,22 +10,28 @@ importance g is w = 1 / (alpha + (1 - alpha) g / mean g), with the mean over its
 unbiased exactly, since given the pool the expectation of w times any function is its mean over the pool. That works
 in any space, and no density is ever computed.
 
+The surrogate's unsafe probability q is also a control variate: X = w (y - lambda q) + lambda mean q, where y is 1 if
+the simulation is unsafe, and the mean is over the pool. Given the pool, the expectation of w q is mean q, so that X
+is as unbiased as w y, and varies less if q predicts y. As g increases with q, w q <= 1: X is at least -lambda, and at
+most 1 / alpha + lambda.
+
 1. The first part of the budget is drawn as it occurs in operation, but for a small share that is spread over the
    choices of categories which the distribution makes rare.
-2. Then a surrogate estimates the unsafe probability q of each member of a pool, from earlier results only, and
-   g = sqrt(q + a little), the best choice where the verdict is a matter of chance. alpha is chosen by how well
-   earlier surrogates would have done with it on results that they had not seen; it is 1, plain Monte Carlo, if none
-   helps.
+2. Then a surrogate estimates q of each member of a pool, from earlier results only, and g = sqrt(q + a little), the
+   best choice where the verdict is a matter of chance. alpha and lambda are chosen by how well earlier surrogates
+   would have done with them on results that they had not seen: 1 and 0, plain Monte Carlo, if nothing helps. Their
+   variance on these results also sets the pace at which the interval counts what comes next.
 3. With a claim, the search ends as soon as that is shown or refuted.
 
 What is known from before teaches the surrogate and never enters the estimate.
 
-Sources: Owen and Zhou 2000 (defensive mixtures); Waudby-Smith and Ramdas 2024.
+Sources: Owen and Zhou 2000 (defensive mixtures and control variates); Waudby-Smith and Ramdas 2024.
 """
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
 from typing import Any, Final
 
 import numpy as np
@@ -37,7 +42,7 @@ from brink.search.archive import Archive
 from brink.search.conclusions import Decision
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError
-from brink.search.rates import Wealth, best_growth
+from brink.search.rates import Terms, Wealth, best_growth
 from brink.search.settings import check_settings, setting
 from brink.search.space import FloatArray, SearchSpace, frozen_array
 from brink.search.streams import Stream, generator
@@ -47,14 +52,18 @@ AT_MOST: Final = "at_most"
 CONFIDENCE: Final = "confidence"
 ALPHAS: Final = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.2)
 """Shares of the distribution in the mixture; the largest weight is the inverse."""
-FIRST_ALPHA: Final = 0.5
-"""The share before there are results to choose it by."""
+LAMBDAS: Final = (0.0, 0.5, 1.0)
+"""Coefficients of the control variate."""
 SPREAD_ALPHA: Final = 0.8
 """The share in the first part, if rare choices get more than their share."""
+MOST_PACE: Final = 16.0
+"""How many times as much the interval may count a simulation as a plain one."""
 FEWEST: Final = 5
 """Solutions of each verdict from which a surrogate learns."""
 JUDGED: Final = 10
-"""Unsafe solutions by which shares are compared."""
+"""Unsafe solutions by which designs are compared."""
+_LATEST: Final = 2_000
+"""Simulations, the latest ones, by which designs are compared."""
 _FLOOR: Final = 0.1
 """What is added to the surrogate's probability, as a share of the rate so far."""
 _LOG_WEALTH: Final = 10.0
@@ -62,6 +71,36 @@ _LOG_WEALTH: Final = 10.0
 _PILOT: Final = 500
 """Draws that show how frequent the choices of categories are."""
 _PLAIN, _SURROGATE, _NOT_DRAWN = 0.0, 1.0, 2.0
+
+
+class Column(IntEnum):
+    """What is stored of how a candidate was drawn."""
+
+    RATIO = 0
+    """Its importance over the mean of its pool."""
+    ALPHA = 1
+    KIND = 2
+    """Whether the importance is a surrogate's, or the candidate was not drawn at all."""
+    PREDICTED = 3
+    """The surrogate's unsafe probability q."""
+    POOL = 4
+    """The mean of q over its pool."""
+    LAMBDA = 5
+    PACE = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Design:
+    """How the next candidates are drawn and counted; see the module."""
+
+    alpha: float
+    control: float
+    pace: float
+
+
+PLAIN: Final = Design(alpha=1.0, control=0.0, pace=1.0)
+FIRST: Final = Design(alpha=0.5, control=0.5, pace=1.0)
+"""The first design with a surrogate, before there are results to choose one by."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,8 +154,7 @@ class RateState(LedgerState):
 
     Attributes:
         config: Settings.
-        drawn: How each candidate was drawn, in the order of their numbers: the importance over the mean of its pool,
-            alpha, and whether the importance is a surrogate's, shape ``(n, 3)``.
+        drawn: How each candidate was drawn, in the order of their numbers, shape ``(n, len(Column))``.
         wealth: The bettors on the claim; None without one.
         surrogate: The last surrogate; it follows from the rest.
     """
@@ -129,9 +167,18 @@ class RateState(LedgerState):
 
 def weights_of(drawn: FloatArray) -> FloatArray:
     """Return the importance weights of candidates; see `RateState.drawn`."""
-    ratio, alpha = drawn[:, 0], drawn[:, 1]
+    return _weights(drawn[:, Column.RATIO], drawn[:, Column.ALPHA])
+
+
+def _weights(ratio: FloatArray, alpha: FloatArray | float) -> FloatArray:
     weights: FloatArray = 1.0 / (alpha + (1.0 - alpha) * ratio)
-    return np.minimum(weights, 1.0 / alpha)
+    return weights
+
+
+def _base(drawn: FloatArray, weights: FloatArray, control: FloatArray | float) -> FloatArray:
+    """Return the terms of safe candidates: the control variate less its expectation."""
+    base: FloatArray = control * (drawn[:, Column.POOL] - weights * drawn[:, Column.PREDICTED])
+    return base
 
 
 class Rate(WarmLedgerAlgorithm[RateConfig, RateState]):
@@ -143,13 +190,16 @@ class Rate(WarmLedgerAlgorithm[RateConfig, RateState]):
     summary = "How often solutions are unsafe in operation, with an interval that is valid at any time."
     config_type = RateConfig
     honours_distribution = True
+    layout = 2
 
     def _min_budget(self, space: SearchSpace, config: RateConfig) -> int:
         return 1
 
     def _first_state(self, ledger: Ledger, config: RateConfig) -> RateState:
         wealth = None if config.at_most is None else Wealth.of(config.at_most, config.confidence)
-        state = RateState(config=config, ledger=ledger, drawn=frozen_array(np.empty((0, 3))), wealth=wealth)
+        state = RateState(
+            config=config, ledger=ledger, drawn=frozen_array(np.empty((0, len(Column)))), wealth=wealth
+        )
         return _planned(state)
 
     def tell(self, state: RateState, evaluations: Mapping[int, Evaluation]) -> RateState:
@@ -160,7 +210,7 @@ class Rate(WarmLedgerAlgorithm[RateConfig, RateState]):
         if state.wealth is not None:
             draws = _draws(state.drawn[: ledger.spent], ledger.archive, since=before)
             # A failure counts against showing the claim, and not for refuting it.
-            wealth = state.wealth.after(draws.unsafe_values(failed=True), draws.bounds, draws.unsafe_values())
+            wealth = state.wealth.after(draws.terms(failed=True), draws.terms())
             state = replace(state, wealth=wealth)
         return _planned(state)
 
@@ -182,7 +232,7 @@ class Rate(WarmLedgerAlgorithm[RateConfig, RateState]):
             raise DocumentError(f"drawn: expected {planned} candidates, got {len(drawn)}")
         wealth = None
         if config.at_most is not None:
-            told = int(np.count_nonzero(drawn[: ledger.spent, 2] != _NOT_DRAWN))
+            told = int(np.count_nonzero(drawn[: ledger.spent, Column.KIND] != _NOT_DRAWN))
             wealth = Wealth.restored(
                 config.at_most, config.confidence, told, document.header, document.arrays
             )
@@ -196,10 +246,12 @@ class Rate(WarmLedgerAlgorithm[RateConfig, RateState]):
 
 def _stored_drawn(document: Document) -> FloatArray:
     drawn = document.arrays.get("drawn")
-    if drawn is None or drawn.ndim != 2 or drawn.shape[1] != 3 or drawn.dtype != np.float64:
-        raise DocumentError("drawn: expected float64 rows of 3 numbers")
-    if not ((drawn[:, 1] > 0) & (drawn[:, 1] <= 1) & (drawn[:, 0] >= 0)).all():
-        raise DocumentError("drawn: expected ratios >= 0 and shares in (0, 1]")
+    if drawn is None or drawn.ndim != 2 or drawn.shape[1] != len(Column) or drawn.dtype != np.float64:
+        raise DocumentError(f"drawn: expected float64 rows of {len(Column)} numbers")
+    if not ((drawn >= 0).all() and (drawn[:, [Column.ALPHA, Column.PACE]] > 0).all()):
+        raise DocumentError("drawn: expected numbers >= 0, and shares and paces above 0")
+    if not (drawn[:, [Column.ALPHA, Column.PREDICTED, Column.POOL, Column.LAMBDA]] <= 1).all():
+        raise DocumentError("drawn: expected shares, probabilities and coefficients of at most 1")
     return frozen_array(drawn)
 
 
@@ -212,17 +264,27 @@ def _draws(drawn: FloatArray, archive: Archive, *, since: int = 0) -> Draws:
         since: The first number.
     """
     numbers = np.arange(since, len(drawn))
-    numbers = numbers[drawn[since:, 2] != _NOT_DRAWN]
+    numbers = numbers[drawn[since:, Column.KIND] != _NOT_DRAWN]
     unsafe, scored = np.zeros(len(drawn), np.bool_), np.zeros(len(drawn), np.bool_)
     unsafe[archive.numbers] = archive.unsafe
     scored[archive.numbers] = True
+    mine = drawn[numbers]
+    weights = weights_of(mine)
     return Draws(
         numbers=numbers,
-        weights=weights_of(drawn[numbers]),
-        bounds=1.0 / drawn[numbers, 1],
+        weights=weights,
+        bounds=1.0 / mine[:, Column.ALPHA],
         unsafe=unsafe[numbers],
         failed=~scored[numbers],
+        base=_base(mine, weights, mine[:, Column.LAMBDA]),
+        reach=mine[:, Column.LAMBDA],
+        pace=mine[:, Column.PACE],
     )
+
+
+def _rows_of(count: int, kind: float) -> FloatArray:
+    """Return how candidates are drawn that have no importance, as in `RateState.drawn`."""
+    return np.tile([1.0, 1.0, kind, 0.0, 0.0, 0.0, 1.0], (count, 1))
 
 
 def _planned(state: RateState) -> RateState:
@@ -237,11 +299,10 @@ def _planned(state: RateState) -> RateState:
     state = state if first else _with_surrogate(state)
     rng = generator(ledger.seed, Stream.RATE, 0, ledger.planned_generation)
     rows, drawn = _drawn(state, wanted - len(points), None if first else state.surrogate, rng)
-    simulated = np.tile([1.0, 1.0, _NOT_DRAWN], (len(points), 1))
     return replace(
         state,
         ledger=ledger.plan([*points, *rows]),
-        drawn=frozen_array(np.concatenate([state.drawn, simulated, drawn])),
+        drawn=frozen_array(np.concatenate([state.drawn, _rows_of(len(points), _NOT_DRAWN), drawn])),
     )
 
 
@@ -274,62 +335,65 @@ def _drawn(
     Returns:
         The candidates, and how they were drawn, as in `RateState.drawn`.
     """
-    space, size = state.ledger.space, state.config.pool
-    alpha, importance = 1.0, None
-    if size > 1 and surrogate is not None:
-        alpha = _best_alpha(state)
-        seen = np.concatenate([state.ledger.known.unsafe, state.ledger.archive.unsafe])
-        floor = _FLOOR * (np.count_nonzero(seen) + 1) / (len(seen) + 2)
-
-        def importance(rows: FloatArray) -> FloatArray:
-            return np.sqrt(surrogate.unsafe(rows) + floor)
-    elif size > 1 and (rarity := Rarity.of(space, state.ledger.seed)) is not None:
-        alpha, importance = SPREAD_ALPHA, rarity.importance
-    if importance is None or count <= 0:
-        return [frozen_array(row) for row in space.draw_rows(max(count, 0), rng)], np.tile(
-            [1.0, 1.0, _PLAIN], (max(count, 0), 1)
-        )
+    space, size, count = state.ledger.space, state.config.pool, max(count, 0)
+    rarity = Rarity.of(space, state.ledger.seed) if size > 1 and surrogate is None else None
+    if not count or size == 1 or (surrogate is None and rarity is None):
+        return [frozen_array(row) for row in space.draw_rows(count, rng)], _rows_of(count, _PLAIN)
     pools = space.draw_rows(count * size, rng)
-    shares = importance(pools).reshape(count, size)
-    shares = shares / shares.mean(axis=1, keepdims=True)
-    chances = np.cumsum((alpha + (1.0 - alpha) * shares) / size, axis=1)
+    design, predicted = replace(PLAIN, alpha=SPREAD_ALPHA), np.zeros(count * size)
+    if surrogate is not None:
+        design, predicted = _best_design(state), np.clip(surrogate.unsafe(pools), 0.0, 1.0)
+        seen = np.concatenate([state.ledger.known.unsafe, state.ledger.archive.unsafe])
+        importance = np.sqrt(predicted + _FLOOR * (np.count_nonzero(seen) + 1) / (len(seen) + 2))
+    elif rarity is not None:
+        importance = rarity.importance(pools)
+    ratio = importance.reshape(count, size)
+    ratio = ratio / ratio.mean(axis=1, keepdims=True)
+    chances = np.cumsum((design.alpha + (1.0 - design.alpha) * ratio) / size, axis=1)
     chosen = np.minimum((rng.random(count)[:, None] * chances[:, -1:] >= chances).sum(axis=1), size - 1)
-    each = np.arange(count)
-    kind = _PLAIN if surrogate is None else _SURROGATE
-    drawn = np.stack([shares[each, chosen], np.full(count, alpha), np.full(count, kind)], axis=1)
+    each, by_pool = np.arange(count), predicted.reshape(count, size)
+    drawn = _rows_of(count, _PLAIN if surrogate is None else _SURROGATE)
+    drawn[:, Column.RATIO] = ratio[each, chosen]
+    drawn[:, Column.PREDICTED], drawn[:, Column.POOL] = by_pool[each, chosen], by_pool.mean(axis=1)
+    drawn[:, [Column.ALPHA, Column.LAMBDA, Column.PACE]] = design.alpha, design.control, design.pace
     return [frozen_array(row) for row in pools.reshape(count, size, -1)[each, chosen]], drawn
 
 
-def _best_alpha(state: RateState) -> float:
-    """Return the share of the distribution in the mixture that promises the narrowest interval.
+def _best_design(state: RateState) -> Design:
+    """Return the design that promises the narrowest interval.
 
-    Shares are judged by results of candidates that earlier surrogates chose without having seen them. A smaller share
-    lowers the variance, but also the stakes that a bettor can afford, since a single weight may be larger.
+    Designs are judged by results of candidates that earlier surrogates chose without having seen them. A smaller
+    share of the distribution lowers the variance, but also the stakes that a bettor can afford, since a single weight
+    may be larger.
     """
     draws = _draws(state.drawn[: state.ledger.spent], state.ledger.archive)
-    drawn = state.drawn[draws.numbers]
-    judged = drawn[:, 2] == _SURROGATE
-    hits = judged & draws.unsafe
-    if np.count_nonzero(hits) < JUDGED:
-        return FIRST_ALPHA
-    ratio, weights = drawn[hits, 0], draws.weights[hits] / np.count_nonzero(judged)
-    rate, claim = float(draws.unsafe_values().mean()), state.config.at_most
-    values = [np.minimum(1.0 / (alpha + (1.0 - alpha) * ratio), 1.0 / alpha) for alpha in ALPHAS]
-    chances = [weights / each for each in values]  # of each value, had alpha been the share
-    second = min(float(chance @ each**2) for chance, each in zip(chances, values, strict=True))
-    variance = max(second - rate**2, 1e-12)
-    half = min(0.9 * rate, math.sqrt(_LOG_WEALTH * variance / state.ledger.budget))
+    judged = np.flatnonzero((state.drawn[draws.numbers, Column.KIND] == _SURROGATE) & ~draws.failed)[
+        -_LATEST:
+    ]
+    if np.count_nonzero(draws.unsafe[judged]) < JUDGED:
+        return FIRST
+    drawn, claim, ones = state.drawn[draws.numbers[judged]], state.config.at_most, np.ones(len(judged))
+    unsafe, rate = draws.unsafe[judged], min(max(draws.terms().mean(), 1e-9), 1 - 1e-9)
+    tried = []  # design, terms had it been used, and their probabilities then
+    for alpha in ALPHAS:
+        weights = _weights(drawn[:, Column.RATIO], alpha)
+        chances = draws.weights[judged] / weights / len(judged)
+        for control in LAMBDAS:
+            values = _base(drawn, weights, control) + np.where(unsafe, weights, 0.0)
+            terms = Terms(values=values, low=-control * ones, high=ones / alpha + control, pace=ones)
+            variance = max(float(chances @ values**2) - rate**2, 1e-12)
+            pace = min(max(2.0 ** round(math.log2(rate * (1 - rate) / variance)), 1.0), MOST_PACE)
+            tried.append((variance, Design(alpha=alpha, control=control, pace=pace), terms, chances))
+    half = min(0.9 * rate, math.sqrt(_LOG_WEALTH * min(one[0] for one in tried) / state.ledger.budget))
     sides = [(min(rate + half, 0.999), True), (rate - half, False)]
     if claim is not None:
         sides = [(claim, rate < claim)]
-    costs = [
-        sum(
-            max(best_growth(each, chance, 1.0 / alpha, mean, below=side), 1e-12) ** -0.5
-            for mean, side in sides
-        )
-        for alpha, each, chance in zip(ALPHAS, values, chances, strict=True)
-    ]
-    return ALPHAS[int(np.argmin(costs))]
+
+    def cost(terms: Terms, chances: FloatArray) -> float:
+        growths = (best_growth(terms, chances, mean, below=side) for mean, side in sides)
+        return math.fsum(max(growth, 1e-12) ** -0.5 for growth in growths)
+
+    return min(tried, key=lambda one: cost(one[2], one[3]))[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

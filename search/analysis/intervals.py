@@ -53,7 +53,7 @@ def share_interval(
 
 
 def replicated_interval(
-    counts: IntArray, of: IntArray, confidence: float = CONFIDENCE
+    counts: IntArray | FloatArray, of: IntArray | FloatArray, confidence: float = CONFIDENCE
 ) -> tuple[float, float]:
     """Return the interval of a share that was simulated with several replicates of an uncertain model.
 
@@ -63,7 +63,7 @@ def replicated_interval(
     freedom, at least `LEAST_FREEDOM`.
 
     Args:
-        counts: Simulations counted with each replicate, shape ``(b,)``.
+        counts: Simulations counted with each replicate, which need not be whole numbers, shape ``(b,)``.
         of: Simulations with each replicate, of which some are positive, shape ``(b,)``.
         confidence: Level, in (0, 1).
     """

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from brink.search.algorithm import Draws
-from brink.search.analysis.intervals import ratio_interval
+from brink.search.analysis.intervals import ratio_interval, replicated_interval
 from brink.search.conclusions import Decision
 from brink.search.deadline import check_time
 from brink.search.rates import Wealth, best_growth, betting_bounds, fixed_interval, log_wealth
@@ -115,36 +115,24 @@ def rate_of(draws: Draws, confidence: float) -> Rate:
         draws: The draws.
         confidence: Confidence of the intervals, in (0, 1).
     """
-    least, most = draws.unsafe_values(), draws.unsafe_values(failed=True)
+    least, most = draws.terms(), draws.terms(failed=True)
     error = (1 - confidence) / 2
-    low = betting_bounds(least, draws.bounds, low_error=error, high_error=error)[0]
-    high = betting_bounds(most, draws.bounds, low_error=error, high_error=error)[1]
-    fixed = (
-        fixed_interval(least, draws.bounds, confidence)[0],
-        fixed_interval(most, draws.bounds, confidence)[1],
-    )
-    scored = least[~draws.failed]
-    rate = float(scored.mean()) if len(scored) else 0.0
-    variance = float(scored.var()) if len(scored) else 0.0
-    plain = min(rate, 1.0) * (1.0 - min(rate, 1.0))
+    low = betting_bounds(least, low_error=error, high_error=error)[0]
+    high = betting_bounds(most, low_error=error, high_error=error)[1]
+    fixed = fixed_interval(least, confidence)[0], fixed_interval(most, confidence)[1]
+    scored = draws.some(~draws.failed).terms()
+    # Control variates may take the mean out of what is possible.
+    rate = min(max(scored.mean(), low), high) if len(scored) else 0.0
+    variance = scored.variance() if len(scored) else 0.0
+    plain = rate * (1.0 - rate)
     return Rate(
         simulations=len(least),
         unsafe=int(draws.unsafe.sum()),
         failed=int(draws.failed.sum()),
-        rate=min(rate, 1.0),
+        rate=rate,
         interval=(low, high),
         fixed=fixed,
-        effective=len(scored) * plain / variance if variance > 0 and plain > 0 else float(len(scored)),
-    )
-
-
-def _first(draws: Draws, count: int) -> Draws:
-    return Draws(
-        numbers=draws.numbers[:count],
-        weights=draws.weights[:count],
-        bounds=draws.bounds[:count],
-        unsafe=draws.unsafe[:count],
-        failed=draws.failed[:count],
+        effective=plain / variance if variance > 0 and plain > 0 else float(len(scored)),
     )
 
 
@@ -157,7 +145,7 @@ def looks(draws: Draws, confidence: float) -> list[Look]:
     found = []
     for step in steps.tolist():
         check_time()
-        one = rate_of(_first(draws, step), confidence)
+        one = rate_of(draws.some(slice(step)), confidence)
         found.append(Look(simulations=step, rate=one.rate, low=one.interval[0], high=one.interval[1]))
     return found
 
@@ -170,18 +158,15 @@ def claim_of(draws: Draws, at_most: float, confidence: float) -> Claim:
         at_most: The limit, in (0, 1).
         confidence: Confidence, in (0, 1).
     """
-    least, most = draws.unsafe_values(), draws.unsafe_values(failed=True)
-    wealth = Wealth.of(at_most, confidence).after(most, draws.bounds, least)
+    least, most = draws.terms(), draws.terms(failed=True)
+    wealth = Wealth.of(at_most, confidence).after(most, least)
     error = 1 - confidence
-    low = betting_bounds(least, draws.bounds, low_error=error, high_error=error)[0]
-    high = betting_bounds(most, draws.bounds, low_error=error, high_error=error)[1]
+    low = betting_bounds(least, low_error=error, high_error=error)[0]
+    high = betting_bounds(most, low_error=error, high_error=error)[1]
     more = None
-    count = len(least)
-    if wealth.decided.decision is Decision.NOT_SHOWN and count and least.mean() < at_most:
-        unsafe = draws.weights[draws.unsafe]
-        chances = np.full(len(unsafe), 1 / count)
-        growth = best_growth(unsafe, chances, float(draws.bounds[-1]), at_most, below=True)
-        missing = -math.log(error) - float(log_wealth(wealth.below))
+    if wealth.decided.decision is Decision.NOT_SHOWN and len(least) and least.mean() < at_most:
+        growth = best_growth(least, np.full(len(least), 1 / len(least)), at_most, below=True)
+        missing = -math.log(error) - float(log_wealth(wealth.below, below=True))
         more = math.ceil(missing / growth) if growth > 0 else None
     return Claim(
         at_most=at_most,
@@ -211,6 +196,29 @@ def ratio_of(draws: Draws, below: FloatArray, confidence: float) -> Ratio | None
     if interval is None:
         return None
     return Ratio(value=float(above.sum() / amount.sum()), low=interval[0], high=interval[1])
+
+
+def replicated_rate(draws: Draws, replicates: FloatArray, confidence: float) -> Ratio | None:
+    """Return the rate with an interval that also covers how uncertain a fitted model is; None with one replicate.
+
+    Draws count as as many plain simulations as have the same variance. See `replicated_interval`.
+
+    Args:
+        draws: The draws.
+        replicates: The replicate of the model that each was simulated with, NaN if unknown, shape ``(n,)``.
+        confidence: Confidence of the interval, in (0, 1).
+    """
+    known = draws.some(~np.isnan(replicates) & ~draws.failed)
+    numbers, of = np.unique(replicates[~np.isnan(replicates) & ~draws.failed], return_counts=True)
+    if len(numbers) < 2:
+        return None
+    _, labels = np.unique(replicates[~np.isnan(replicates) & ~draws.failed], return_inverse=True)
+    terms = known.terms()
+    means = np.bincount(labels, terms.pace * terms.values) / np.bincount(labels, terms.pace)
+    overall = rate_of(known, confidence)
+    trials = of * overall.effective / overall.simulations
+    low, high = replicated_interval(np.clip(means, 0.0, 1.0) * trials, trials, confidence)
+    return Ratio(value=overall.rate, low=min(low, overall.rate), high=max(high, overall.rate))
 
 
 def strata_of(draws: Draws, members: Mapping[str, BoolArray], confidence: float) -> list[Stratum]:

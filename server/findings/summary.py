@@ -308,7 +308,7 @@ def _leading_on(known: _Known) -> list[Step]:
     steps += _other_requirement(known)
     side = known.subject(Role.SIDE)
     for kind in all_kinds():
-        if kind not in known.kinds:
+        if known.kinds.get(kind, Role.SIDE) is Role.SIDE:
             steps += asked(kind, partial(kind.leads_to, side), list[Step]())
     if 0 < campaign.unsafe < campaign.evaluated:
         steps.append(

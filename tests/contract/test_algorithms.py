@@ -31,7 +31,8 @@ SUITE = "suite@1"
 TOLERANCE = "tolerance@1"
 NEAREST = "nearest-opposite@1"
 RATE = "rate@1"
-REPEATING = {REPEAT, SUITE, EDGE, THRESHOLDS, MINIMISE, SHARPEN, TOLERANCE, NEAREST, RATE, "qd@1"}
+SUBSET = "subset@1"
+REPEATING = {REPEAT, SUITE, EDGE, THRESHOLDS, MINIMISE, SHARPEN, TOLERANCE, NEAREST, RATE, SUBSET, "qd@1"}
 NEEDS: dict[str, tuple[type[Any], str]] = {
     SIMOOD: (Slots, "slots"),
     "nsga2@1": (Participants, "participants"),
@@ -111,6 +112,8 @@ def config_for(checked: AnyAlgorithm, space: SearchSpace) -> Any:
         )
     if checked.id == RATE:
         return checked.config_type(pool=5, in_flight=2)
+    if checked.id == SUBSET:
+        return checked.config_type(chains=5, length=4, in_flight=2)
     if checked.id not in (REPEAT, SUITE):
         return checked.config_type()
     rng = np.random.default_rng(1)
@@ -164,7 +167,7 @@ def test_algorithm_keeps_its_contract(plugin_id: str, name: str) -> None:
         space,
         budget=budget,
         config=config_for(checked, space),
-        ends_itself=plugin_id in {SIMOOD, MINIMISE, SHARPEN, SUITE},
+        ends_itself=plugin_id in {SIMOOD, MINIMISE, SHARPEN, SUITE, SUBSET},
         repeats=plugin_id in REPEATING,
     )
     assert len(run.generations) >= 2

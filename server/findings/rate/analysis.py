@@ -9,7 +9,16 @@ from typing import Final
 import numpy as np
 
 from brink.search.algorithm import Draws, EstimatesRate
-from brink.search.analysis.rate import Claim, Ratio, claim_of, looks, rate_of, ratio_of, strata_of
+from brink.search.analysis.rate import (
+    Claim,
+    Ratio,
+    claim_of,
+    looks,
+    rate_of,
+    ratio_of,
+    replicated_rate,
+    strata_of,
+)
 from brink.search.conclusions import Decision
 from brink.search.deadline import check_time
 from brink.search.distribution import distribution_words
@@ -26,6 +35,8 @@ DISTANCE: Final = "way_m"
 """Feature of a drive: the distance driven."""
 TIME: Final = "ended_at_s"
 """Feature of a drive: the simulated time."""
+REPLICATE: Final = "replicate"
+"""Feature of a drive with fitted errors: the replicate of the fit that it drew."""
 _KM_1000: Final = 1e6
 _HOUR: Final = 3600.0
 MOST_STRATA: Final = 60
@@ -66,12 +77,13 @@ def find_rate(
         results = view_store.read_results(connection, campaign_id)
     if not len(draws.numbers):
         return None
-    distance_m, time_s = _exposure(draws, results)
+    distance_m, time_s, replicates = _features(draws, results, (DISTANCE, TIME, REPLICATE))
     place = {number: row for row, number in enumerate(archive.numbers.tolist())}
     places = np.array([place.get(number, -1) for number in draws.numbers.tolist()], np.int64)
     rows = np.where((places >= 0)[:, None], archive.vectors[np.maximum(places, 0)], np.nan)
     found = rate_of(draws, confidence)
     told = None if claim is None else claim_of(draws, *claim)
+    fitted = replicated_rate(draws, replicates, confidence)
     strata = strata_of(draws, _members(problem.space, rows, by), confidence)
     return RateView(
         simulations=found.simulations,
@@ -80,6 +92,8 @@ def find_rate(
         confidence=confidence,
         rate=IntervalView(value=found.rate, low=found.interval[0], high=found.interval[1]),
         fixed=IntervalView(value=found.rate, low=found.fixed[0], high=found.fixed[1]),
+        fitted=None if fitted is None else IntervalView(**asdict(fitted)),
+        replicates=len(np.unique(replicates[~np.isnan(replicates)])),
         effective=found.effective,
         distribution=distribution_words(problem.space),
         is_stated=problem.space.distribution is not None,
@@ -102,18 +116,18 @@ def _scaled(ratio: Ratio | None, factor: float) -> IntervalView | None:
     return IntervalView(value=factor * ratio.value, low=factor * ratio.low, high=factor * ratio.high)
 
 
-def _exposure(draws: Draws, results: Mapping[int, str | None]) -> tuple[FloatArray, FloatArray]:
-    """Return distance and time of each draw, NaN where it was not recorded, both of shape ``(n,)``."""
-    amounts = np.full((2, len(draws.numbers)), np.nan)
+def _features(draws: Draws, results: Mapping[int, str | None], names: Sequence[str]) -> FloatArray:
+    """Return features of each draw, NaN where they were not recorded, shape ``(len(names), n)``."""
+    amounts = np.full((len(names), len(draws.numbers)), np.nan)
     for position, number in enumerate(draws.numbers.tolist()):
         check_time()
         text = results.get(number)
         features = (json.loads(text).get("features") or {}) if text else {}
-        for row, name in enumerate((DISTANCE, TIME)):
+        for row, name in enumerate(names):
             value = features.get(name)
             if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
                 amounts[row, position] = value
-    return amounts[0], amounts[1]
+    return amounts
 
 
 def _members(space: SearchSpace, rows: FloatArray, by: str) -> dict[str, BoolArray]:

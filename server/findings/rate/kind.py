@@ -6,7 +6,7 @@ from pydantic import Field
 
 from brink.search.algorithm import EstimatesRate
 from brink.search.algorithms.rate import RateConfig
-from brink.server.findings.finding import Finding, Step, Term
+from brink.server.findings.finding import Finding, Role, Step, Term
 from brink.server.findings.kind import Kind, Listed, Settings, Subject
 from brink.server.findings.rate.analysis import default_strata, find_rate, interval_words
 from brink.server.findings.rate.views import RateView
@@ -119,7 +119,7 @@ class RateKind(Kind):
             title=self.title,
             role=subject.role,
             sentence=f"{interval_words(view.rate)} of simulated {noun}s {violate}, with {drawn}",
-            more=[*claim, *_exposure_words(view, noun), *_strata_words(view)],
+            more=[*claim, *_fitted_words(view), *_exposure_words(view, noun), *_strata_words(view)],
             purpose=f"Brink estimated how often {noun}s from the operational domain {violate}.",
             figures=[
                 Term(term=interval_words(view.rate), words=f"of {noun}s {violate}"),
@@ -139,9 +139,21 @@ class RateKind(Kind):
             steps=_steps(subject, view),
         )
 
+    def leads_to(self, subject: Subject) -> list[Step]:
+        """Return the step that shows the rate, if the simulations of a search for something else are draws."""
+        return [_by_condition(subject)] if self.fits(subject.plan) else []
+
     def brief(self, listed: Listed) -> str:
         """Return the share of unsafe simulations; the weighted rate takes longer."""
         return f"{listed.campaign.unsafe:,} unsafe"
+
+
+def _fitted_words(view: RateView) -> list[str]:
+    if view.fitted is None:
+        return []
+    return [
+        f"with the uncertainty of the fit, from {view.replicates} replicates: {interval_words(view.fitted)}"
+    ]
 
 
 def _exposure_words(view: RateView, noun: str) -> list[str]:
@@ -170,6 +182,11 @@ def _caveats(view: RateView, noun: str) -> list[str]:
         f"This is a rate in a simulator, for {noun}s distributed as stated: {view.distribution}. It says nothing "
         "about what the simulator, the distribution or the requirement leave out"
     ]
+    if view.fitted is not None:
+        said.append(
+            "Only the interval with the uncertainty of the fit covers that; the others, and the claim, are about the "
+            "fit as it is"
+        )
     if view.failed:
         said.append(
             f"{view.failed:,} simulations without a verdict count as safe at lower and as unsafe at upper ends"
@@ -197,15 +214,26 @@ def _rates_table(view: RateView, noun: str) -> Table:
             f"{sure}, {FIXED}",
         ],
     ]
+    if view.fitted is not None:
+        one = view.fitted
+        rows.append(
+            [f"unsafe {noun}s", one.value, one.low, one.high, f"per {noun}", f"{sure}, {FIXED}, with the fit"]
+        )
     rows += [
         [f"unsafe {noun}s", one.value, one.low, one.high, unit, f"{sure}, {FIXED}"]
         for one, unit in ((view.per_1000_km, "per 1,000 km"), (view.per_hour, "per hour"))
         if one is not None
     ]
-    if view.claim is not None:
-        one = view.claim
+    if (claim := view.claim) is not None:
         rows.append(
-            [f"claim {one.decision}", one.at_most, one.low, one.high, f"per {noun}", "one-sided, each end"]
+            [
+                f"claim {claim.decision}",
+                claim.at_most,
+                claim.low,
+                claim.high,
+                f"per {noun}",
+                "one-sided, each end",
+            ]
         )
     return Table(name="rates", title="Rates", columns=COLUMNS, rows=rows)
 
@@ -244,7 +272,17 @@ def _looks_table(view: RateView, rows: int) -> Table:
 
 def _steps(subject: Subject, view: RateView) -> list[Step]:
     open_claim = view.claim is not None and view.claim.decision == "not shown" and view.claim.more is not None
-    return [subject.longer("The interval becomes narrower.")] if open_claim else []
+    steps = [subject.longer("The interval becomes narrower.")] if open_claim else []
+    return steps if subject.role is Role.SIDE else [*steps, _by_condition(subject)]
+
+
+def _by_condition(subject: Subject) -> Step:
+    return Step(
+        kind="rate",
+        question="How often, and in which conditions?",
+        words="Shows the rate with its intervals; --by names conditions, --at-most a claim. No simulations.",
+        command=f"brink rate {subject.campaign.id}",
+    )
 
 
 KIND = RateKind()

@@ -82,6 +82,14 @@ class RateView(View):
             description="The same with the interval for a number of simulations that was fixed beforehand."
         ),
     ]
+    fitted: Annotated[
+        IntervalView | None,
+        Field(
+            description="The same with an interval that also covers how uncertain fitted errors are, for a number of "
+            "simulations that was fixed beforehand; null if drives do not have several replicates of a fit."
+        ),
+    ]
+    replicates: Annotated[int, Field(description="Replicates of a fit that were driven.")]
     effective: Annotated[
         float, Field(description="Number of simulations drawn as in operation with the same variance.")
     ]

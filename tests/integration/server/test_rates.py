@@ -10,11 +10,12 @@ from support.api import FakeWorker, ball, expect, submit
 from support.databases import sqlite_then_postgres
 from support.problems import Ball, simulated
 
+from brink.search.algorithms.subset import Subset
 from brink.server.campaigns.body import read_campaign_file
 from brink.server.errors import InvalidInput
 from brink.server.findings.words import percent, rounded
 from brink.server.problems.base import SimulatedProblem
-from brink.server.problems.catalogue import PROBLEMS
+from brink.server.problems.catalogue import ALGORITHMS, PROBLEMS
 from brink.sim import catalogue
 from brink.worker.wire import Completed, LeasedJob
 
@@ -31,7 +32,8 @@ class Driven(Ball):
 
 
 def driven(job: LeasedJob) -> Completed:
-    return simulated(job.spec).model_copy(update={"features": {"way_m": 250.0, "ended_at_s": 36.0}})
+    features = {"way_m": 250.0, "ended_at_s": 36.0, "replicate": float(int(job.spec["seed"]) % 5)}
+    return simulated(job.spec).model_copy(update={"features": features})
 
 
 @pytest.fixture
@@ -57,6 +59,10 @@ def test_a_rate_has_intervals_exposure_and_its_distribution(
     assert view["simulations"] == 100
     assert 0 <= view["rate"]["low"] <= view["fixed"]["low"] <= view["rate"]["value"]
     assert view["rate"]["value"] <= view["fixed"]["high"] <= view["rate"]["high"] <= 1
+    # The uncertainty of a fit is added to that of chance; verdicts do not depend on the replicate.
+    assert view["replicates"] == 5
+    assert view["fitted"]["value"] == view["rate"]["value"]
+    assert view["fitted"]["low"] < view["rate"]["value"] < view["fitted"]["high"]
     # Every drive is 250 m and 36 s long: 4,000 drives for 1,000 km, and 100 an hour.
     assert view["per_hour"]["value"] / view["per_1000_km"]["value"] == pytest.approx(100 / 4000)
     if algorithm == "random@1":
@@ -89,6 +95,27 @@ def test_a_claim_ends_the_search_and_a_search_for_the_boundary_says_that_it_igno
     FakeWorker(client, judge=driven).work(other)
     said = " ".join(expect(client.get(f"{API}/{other}/findings"))["more"]).lower()
     assert "the search (ga@1) ignored the operational distribution" in said
+
+
+def test_subset_simulation_says_what_each_level_gave(
+    client: httpx.Client, problem: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(catalogue._registered, ALGORITHMS, {Subset.id: Subset})
+    algorithm = {"id": Subset.id, "params": {"chains": 20, "length": 5, "in_flight": 2}}
+    params = {"distribution": {"where.x": {"normal": {"mean": -1.5, "deviation": 0.5}}}}
+    campaign = submit(
+        client, ball(simulations=1000, problem={**problem, "params": params}, algorithm=algorithm)
+    )
+    stands = FakeWorker(client, judge=driven).work(campaign)
+    assert stands["status"] == "finished"
+    found = expect(client.get(f"{API}/{campaign}/findings"))["findings"][0]
+    view = found["view"]
+    assert (found["kind"], view["ended"]) == ("levels", "reached")
+    assert view["rate"]["low"] < view["rate"]["value"] < view["rate"]["high"]
+    assert len(found["tables"][0]["rows"]) == len(view["levels"]) >= 2
+    assert "approximate" in " ".join(found["caveats"])
+    assert "normal with mean -1.5" in " ".join(found["caveats"])
+    assert client.get(f"{API}/{campaign}/findings/rate").status_code == 404
 
 
 @sqlite_then_postgres

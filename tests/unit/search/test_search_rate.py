@@ -9,8 +9,8 @@ import pytest
 
 from brink.search.algorithm import Candidate, Draws, Evaluation, Failed, Known, Scored
 from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig
-from brink.search.algorithms.rate import Rarity, Rate, RateConfig, _drawn
-from brink.search.analysis.rate import claim_of, looks, rate_of, ratio_of, strata_of
+from brink.search.algorithms.rate import Column, Rarity, Rate, RateConfig, _drawn
+from brink.search.analysis.rate import claim_of, looks, rate_of, ratio_of, replicated_rate, strata_of
 from brink.search.conclusions import Decision
 from brink.search.distribution import distributed
 from brink.search.document import Document
@@ -69,8 +69,9 @@ def test_weighted_draws_have_the_expectations_of_operation(
     state = algorithm.start(space, RateConfig(pool=8), seed=1, budget=10_000)
     lying: Any = surrogate
     rows, drawn = _drawn(state, 1500, lying, rng)
-    weights = 1 / (drawn[:, 1] + (1 - drawn[:, 1]) * drawn[:, 0])
-    assert (weights <= 1 / drawn[:, 1] + 1e-12).all()
+    alpha = drawn[:, Column.ALPHA]
+    weights = 1 / (alpha + (1 - alpha) * drawn[:, Column.RATIO])
+    assert (weights <= 1 / alpha + 1e-12).all()
     x, night = np.array(rows)[:, 0], np.array(rows)[:, 2] == 1
     for values, expected in (
         (np.ones(len(x)), 1.0),
@@ -80,6 +81,11 @@ def test_weighted_draws_have_the_expectations_of_operation(
     ):
         terms = weights * values
         assert abs(terms.mean() - expected) < 4 * terms.std() / len(x) ** 0.5 + 1e-12
+    if surrogate is not None:  # a control variate has the expectation 0 even if it is wrong
+        base = drawn[:, Column.POOL] - weights * drawn[:, Column.PREDICTED]
+        assert abs(base.mean()) < 4 * base.std() / len(x) ** 0.5
+        assert (drawn[:, Column.LAMBDA] > 0).all()
+        assert base.min() >= -1
     if space.distribution and surrogate is None:
         assert night.mean() > 0.13  # a rare choice gets more than its share
 
@@ -155,8 +161,8 @@ def test_plain_draws_have_the_exact_interval_and_failures_widen_it_on_both_sides
 
 
 def test_strata_add_up_and_ratios_weigh_what_is_driven() -> None:
-    draws = Draws(
-        numbers=np.arange(6),
+    draws = Draws.plain(
+        np.arange(6),
         weights=np.array([1.0, 2.0, 0.5, 0.5, 1.0, 1.0]),
         bounds=np.full(6, 2.0),
         unsafe=np.array([True, False, True, False, True, False]),
@@ -190,3 +196,20 @@ def test_rarity_is_the_inverse_of_the_frequency_of_choices() -> None:
 def test_wrong_claims_are_refused(claim: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match="claim"):
         RateConfig(claim=claim)
+
+
+def test_uncertainty_of_a_fit_widens_the_interval_only_if_replicates_differ() -> None:
+    rng = np.random.default_rng(5)
+    replicates = np.repeat(np.arange(20.0), 100)
+    alike, apart = np.full(20, 0.1), np.linspace(0.02, 0.18, 20)
+    widths = []
+    for rates in (alike, apart):
+        unsafe = rng.random(2_000) < np.repeat(rates, 100)
+        draws = Draws.plain(np.arange(2_000), unsafe, np.zeros(2_000, np.bool_))
+        found, plain = replicated_rate(draws, replicates, 0.95), rate_of(draws, 0.95)
+        assert found is not None
+        assert found.value == plain.rate
+        assert found.low <= 0.1 <= found.high
+        widths.append((found.high - found.low) / (plain.fixed[1] - plain.fixed[0]))
+        assert replicated_rate(draws, np.zeros(2_000), 0.95) is None
+    assert 1.0 <= widths[0] < 0.7 * widths[1]

@@ -7,6 +7,7 @@ import { link } from "../../router.js";
 import { badge, callout, requirementBadge, workerCommand } from "../../parts/elements.js";
 import { panel, thresholdCurves } from "../thresholds.js";
 import { toleranceCurves } from "../tolerance.js";
+import { ratePictures } from "./rate.js";
 
 const SHARPEST = 3;
 /** Height of a curve that leaves room for the pictures. */
@@ -184,4 +185,4 @@ export const OPENING = {
 };
 
 /** Functions of the context and the campaign's id that return what stands ``above`` and ``below`` the tables, and ``update``. */
-export const IN_CARD = { thresholds: thresholdCurves, tolerances: toleranceCurves };
+export const IN_CARD = { rate: ratePictures, thresholds: thresholdCurves, tolerances: toleranceCurves };
