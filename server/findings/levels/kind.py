@@ -29,7 +29,7 @@ COLUMNS = [
 ]
 WHY = {
     Ended.NOT_YET: "the search has not reached unsafe simulations yet",
-    Ended.NOT_GRADED: "the robustness has too few values to divide simulations: estimate the rate with rate@1",
+    Ended.NOT_GRADED: "the robustness has too few values to divide simulations: estimate the rate from draws instead",
     Ended.BUDGET: "the budget does not suffice for a further level",
 }
 
@@ -168,7 +168,7 @@ def _caveats(view: LevelsView, noun: str) -> list[str]:
     if view.rate is not None:
         said.append(
             "The interval is approximate: it assumes that chains have visited all ways in which a violation comes "
-            "about. Unlike that of rate@1, it proves nothing"
+            "about. Unlike an interval from draws, it shows no claim"
         )
     if view.failed:
         said.append(f"{view.failed:,} simulations without a verdict count as safe")
