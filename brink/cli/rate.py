@@ -159,13 +159,12 @@ def _run_first(
     from brink.cli.local import CommandSession, RunOptions, run_to_end
     from brink.cli.run import checked_body
     from brink.search.algorithm import declared_finds
-    from brink.server.campaigns.plan import make_plan
 
     options = RunOptions(
         file=file, workers=workers, out=RESULTS, resume=resume, new=new, json=False, database=database
     )
-    body = checked_body(options)
-    if not set(KINDS) & set(declared_finds(make_plan(body).algorithm)):
+    body, plan = checked_body(options)
+    if not set(KINDS) & set(declared_finds(plan.algorithm)):
         message = f"expected an algorithm that estimates a rate, such as rate@1, got {body.algorithm.id}"
         raise InvalidInput.at("/algorithm/id", message)
 

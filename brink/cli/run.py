@@ -43,6 +43,7 @@ from brink.server.states import CampaignStatus
 
 if TYPE_CHECKING:
     from brink.cli.kind_files import KindFiles
+    from brink.server.campaigns.plan import Plan
 
 TRACE_TIMEOUT_S = 30.0
 
@@ -112,7 +113,7 @@ def run(
         database=database,
         port=port,
     )
-    body = checked_body(options, odd)
+    body, _ = checked_body(options, odd)
     complete = run_to_end(
         CampaignRun(body, pictures=pictures),
         options,
@@ -125,8 +126,8 @@ def run(
     raise typer.Exit(int(not complete))
 
 
-def checked_body(options: RunOptions, odd: Path | None = None) -> CampaignBody:
-    """Return the campaign of a file once it is known that this machine can run it.
+def checked_body(options: RunOptions, odd: Path | None = None) -> "tuple[CampaignBody, Plan]":
+    """Return the campaign of a file, and its plan, once it is known that this machine can run it.
 
     Args:
         options: The command's options.
@@ -143,7 +144,7 @@ def checked_body(options: RunOptions, odd: Path | None = None) -> CampaignBody:
         checked, _ = check_submission(body)
         check_extra(checked.plan.problem)
     checked.plan.problem.install()
-    return body
+    return body, checked.plan
 
 
 async def _finish(

@@ -87,8 +87,9 @@ def test_limits_are_where_the_wealth_reaches_the_inverse_of_the_error() -> None:
         terms = weighted(np.random.default_rng(3), 0.1, 400, 0.5, control)
         low, high = betting_bounds(terms, low_error=0.1, high_error=0.02)
         below, above = (Wealth.of(one, 0.5).after(terms) for one in (high, low))
-        assert log_wealth(below.below, below=True) == pytest.approx(math.log(50), abs=1e-3)
-        assert log_wealth(above.above, below=False) == pytest.approx(math.log(10), abs=1e-3)
+        # Outside by rounding, never inside.
+        assert 0 <= log_wealth(below.below, below=True) - math.log(50) < 3e-3
+        assert 0 <= log_wealth(above.above, below=False) - math.log(10) < 3e-3
     for constant in (0.0, 1.0):
         terms = Terms.of(np.full(5, constant), np.ones(5))
         assert betting_bounds(terms, low_error=0.1, high_error=0.02)[int(constant)] == constant
