@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -126,12 +126,12 @@ def run(
     raise typer.Exit(int(not complete))
 
 
-def checked_body(options: RunOptions, odd: Path | None = None) -> "tuple[CampaignBody, Plan]":
+def checked_body(options: RunOptions, odd: Sequence[str] | None = None) -> "tuple[CampaignBody, Plan]":
     """Return the campaign of a file, and its plan, once it is known that this machine can run it.
 
     Args:
         options: The command's options.
-        odd: A file with an ODD; None for that of the campaign file.
+        odd: What ``--odd`` gives; None for the ODD of the campaign file.
 
     Raises:
         CoordinatorError: The file is wrong, or an extra is not installed.
