@@ -80,6 +80,7 @@ class RunOptions:
         sizes: Options that change what the file says.
         named: How the command named the file, such as ``--example quickstart``; by default its path.
         group: Command group of the command, with a trailing space; empty for campaigns.
+        verb: The command itself.
     """
 
     file: Path
@@ -93,11 +94,13 @@ class RunOptions:
     sizes: tuple[str, ...] = ()
     named: str = ""
     group: str = ""
+    verb: str = "run"
 
     @property
     def resume_command(self) -> str:
         """The command that continues the run."""
-        return " ".join([f"{self.group}run", self.named or quote(str(self.file)), *self.sizes, "--resume"])
+        named = self.named or quote(str(self.file))
+        return " ".join([f"{self.group}{self.verb}", named, *self.sizes, "--resume"])
 
 
 def run_locally(

@@ -161,7 +161,14 @@ def _run_first(
     from brink.search.algorithm import declared_finds
 
     options = RunOptions(
-        file=file, workers=workers, out=RESULTS, resume=resume, new=new, json=False, database=database
+        file=file,
+        workers=workers,
+        out=RESULTS,
+        resume=resume,
+        new=new,
+        json=False,
+        database=database,
+        verb="rate",
     )
     body, plan = checked_body(options)
     if not set(KINDS) & set(declared_finds(plan.algorithm)):
