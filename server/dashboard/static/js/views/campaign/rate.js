@@ -23,10 +23,10 @@ export function ratePictures(context) {
       bands: [{ series: [3, 2], fill: "rgb(0 114 178 / .18)" }],
     },
   });
-  const parts = intervals("Rates in parts of operation, %, with 95% intervals");
+  const parts = intervals("Rates in parts of operation, %, with their intervals");
   const partsOf = h("div", { hidden: true }, h("h3", null, "Rates in parts of operation, %"), parts);
   const looked = h("div", { hidden: true }, looks, h("p.hint", null,
-    "The band contains the rate at all numbers of simulations at once. Simulations are on a log scale."));
+    "With the confidence of the interval, the band contains the rate at all numbers of simulations at once. Simulations are on a log scale."));
   let top = 1;
 
   return {
