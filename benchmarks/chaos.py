@@ -704,6 +704,7 @@ class _Trial:
             self._site.start(proxy)
             try:
                 async with httpx.AsyncClient(timeout=10.0) as client:
+                    await self._begin(client)
                     await self._inject_faults(client)
                     proxy.share = 0.0
                     await self._site.recover()
@@ -711,6 +712,15 @@ class _Trial:
             finally:
                 self._site.stop()
             self.messages, self.requests = proxy.faults, proxy.requests
+
+    async def _begin(self, client: httpx.AsyncClient) -> None:
+        """Wait for the first result, so that the faults strike work, however slowly processes start."""
+        deadline = time.monotonic() + FINISH_TIMEOUT_S
+        while not self._ledger.statuses and time.monotonic() < deadline:
+            self._site.restart_exited()
+            await self._keep_busy(client)
+            self._progress("first result", 0, 1)
+            await asyncio.sleep(_POLL_S)
 
     async def _inject_faults(self, client: httpx.AsyncClient) -> None:
         plan, start, rng = self._plan, time.monotonic(), self._plan.rng(3)

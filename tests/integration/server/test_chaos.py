@@ -14,7 +14,7 @@ from brink.server.db.models import CampaignRow, SolutionRow
 from brink.server.states import CampaignStatus, SolutionVerdict
 from brink.worker.wire import LeasedJob
 
-SHORT = ChaosPlan(minutes=0.25, faults=8, every_s=1.2, share=0.05, simulations=100, drives=False)
+SHORT = ChaosPlan(minutes=0.25, faults=8, every_s=1.2, share=0.2, simulations=100, drives=False)
 
 
 def ignore(part: str, done: int, total: int) -> None:
