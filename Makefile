@@ -21,7 +21,7 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.base: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) install --quiet -c constraints.txt -e '.[analysis]'
+	$(PIP) install --quiet -c constraints.txt -e '.[analysis,vision]'
 	touch $@
 
 # Each module is compiled when it is first imported; compiling all that is installed takes longer than many tests do.
@@ -33,7 +33,7 @@ $(VENV)/.all: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) install --quiet --no-compile -c constraints.txt -e '.[dev,analysis,postgres,vision,osi,torch,ray,sumo]'
 	touch $@ $(VENV)/.dev $(VENV)/.base
 
-install: $(VENV)/.base  ## create .venv with everything that the quickstart needs
+install: $(VENV)/.base  ## create .venv with what the README's commands need
 
 dev: $(VENV)/.dev  ## create .venv with the test tools as well
 

@@ -34,7 +34,7 @@ from brink.cli.options import (
 from brink.cli.repeats import repeat_finished, write_repeats
 from brink.search.sequential import exact_interval
 from brink.server.api.schemas import OutcomesView, Progress
-from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, Budget, CampaignBody, read_campaign_file
 from brink.server.errors import InvalidInput
 from brink.server.findings.boundary.repeat_views import RepeatsView
 from brink.server.findings.finding import Findings
@@ -76,6 +76,10 @@ def run(
     ] = 3,
     port: Port = None,
     odd: Odd = None,
+    simulations: Annotated[
+        int | None,
+        typer.Option(min=1, max=10_000_000, show_default=False, help="Another budget than the file's."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Run one campaign: start a coordinator and workers, show progress, write results and figures.
@@ -113,7 +117,7 @@ def run(
         database=database,
         port=port,
     )
-    body, _ = checked_body(options, odd)
+    body, _ = checked_body(options, odd, simulations)
     complete = run_to_end(
         CampaignRun(body, pictures=pictures),
         options,
@@ -126,12 +130,15 @@ def run(
     raise typer.Exit(int(not complete))
 
 
-def checked_body(options: RunOptions, odd: Sequence[str] | None = None) -> "tuple[CampaignBody, Plan]":
+def checked_body(
+    options: RunOptions, odd: Sequence[str] | None = None, simulations: int | None = None
+) -> "tuple[CampaignBody, Plan]":
     """Return the campaign of a file, and its plan, once it is known that this machine can run it.
 
     Args:
         options: The command's options.
         odd: What ``--odd`` gives; None for the ODD of the campaign file.
+        simulations: The budget; None for that of the campaign file.
 
     Raises:
         CoordinatorError: The file is wrong, or an extra is not installed.
@@ -140,6 +147,8 @@ def checked_body(options: RunOptions, odd: Sequence[str] | None = None) -> "tupl
     from brink.server.problems.catalogue import check_extra
 
     body = read_campaign_file(options.file).within_odd(read_odd(odd))
+    if simulations is not None:
+        body = body.model_copy(update={"budget": Budget(simulations=simulations)})
     with about_file(options.file):
         checked, _ = check_submission(body)
         check_extra(checked.plan.problem)
