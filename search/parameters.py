@@ -510,6 +510,8 @@ class Categorical:
         title: Display name; empty for the full name in words.
         allowed: The choices within an operational design domain (ODD), in their order; None without an ODD. Stored
             indices count all choices.
+        tells_kinds: Whether findings with different choices are of different kinds, such as the shape of the road.
+            The choices in a block that may be dormant, such as the type of an error, always tell them.
     """
 
     name: str
@@ -517,6 +519,7 @@ class Categorical:
     when: When = field(default=(), kw_only=True)
     title: str = field(default="", compare=False, repr=False, kw_only=True)
     allowed: tuple[str, ...] | None = field(default=None, repr=False, kw_only=True)
+    tells_kinds: bool = field(default=False, compare=False, repr=False, kw_only=True)
     codes: tuple[int, ...] = field(init=False, repr=False, compare=False)
     absent: ClassVar[float] = -1.0
 

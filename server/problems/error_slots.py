@@ -32,7 +32,6 @@ from brink.sim.urban.detection_errors import ERROR_STEPS
 NO_ERROR: Final = "none"
 """The type of an error that is none."""
 SCENARIO: Final = "scenario"
-_ROAD_SHAPE: Final = "road_curve"
 
 Values = Mapping[str, Value]
 E = TypeVar("E")
@@ -202,13 +201,19 @@ class SlottedBehaviour(SimulatedProblem):
 
     def traits(self, name: str, values: Mapping[str, Values]) -> tuple[str, ...]:
         """Return the parameter of a slot with the choices there, such as type and target, and the road."""
-        slot, road = self.slot_of(name), str(values.get(SCENARIO, {}).get(_ROAD_SHAPE, ""))
+        slot = self.slot_of(name)
+        scene = [
+            str(values[component.name][parameter.name])
+            for component in self.space.components
+            for parameter in component.parameters
+            if isinstance(parameter, Categorical) and parameter.tells_kinds
+        ]
         if slot is None:
-            return tuple(filter(None, (name, road)))
+            return (name, *scene)
         chosen = [values[BEHAVIOUR][one] for one in slot.names]
         choices = (one for one in chosen if isinstance(one, str))
         own = name.removeprefix(f"{BEHAVIOUR}.{slot.prefix}")
-        return tuple(filter(None, (own, *choices, road)))
+        return (own, *choices, *scene)
 
 
 class ErrorSlots(SlottedBehaviour, Generic[E]):

@@ -126,7 +126,7 @@ def scenario_component(roads: Collection[str]) -> Component:
     return Component(
         name=SCENARIO,
         parameters=(
-            Categorical(name="road", choices=tuple(roads)),
+            Categorical(name="road", choices=tuple(roads), tells_kinds=True),
             Categorical(name="goal", choices=tuple(goal.value for goal in Goal)),
             Integer(name="lanes", low=FEWEST_LANES, high=MOST_LANES, unit="", resolution=1),
             *(

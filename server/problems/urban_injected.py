@@ -143,7 +143,9 @@ def scenario_component() -> Component:
     return Component(
         name="scenario",
         parameters=tuple(
-            Categorical(name=name, choices=tuple(str(choice) for choice in choices))
+            Categorical(
+                name=name, choices=tuple(str(choice) for choice in choices), tells_kinds=name == "road_curve"
+            )
             for name, choices in SCENARIO_CHOICES.items()
         ),
     )

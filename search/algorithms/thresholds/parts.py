@@ -1,5 +1,6 @@
 """The structure of a space that hunts use: its units, its blocks that may be dormant, and kinds of thresholds."""
 
+import math
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -40,6 +41,7 @@ class Parts:
         numeric: Indices of the units that are numbers and not fixed by an ODD.
         categories: Indices of the other units that are not fixed.
         blocks: Its blocks.
+        scene: Columns of the categories outside blocks that tell kinds apart.
     """
 
     space: SearchSpace
@@ -47,6 +49,7 @@ class Parts:
     numeric: tuple[int, ...] = field(init=False)
     categories: tuple[int, ...] = field(init=False)
     blocks: tuple[Block, ...] = field(init=False)
+    scene: tuple[int, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         units, parameters = units_of(self.space), self.space.parameters
@@ -64,6 +67,8 @@ class Parts:
         object.__setattr__(self, "numeric", tuple(numeric))
         object.__setattr__(self, "categories", tuple(categories))
         object.__setattr__(self, "blocks", tuple(_blocks_of(self.space)))
+        scene = (c for c, p in enumerate(parameters) if isinstance(p, Categorical) and p.tells_kinds)
+        object.__setattr__(self, "scene", tuple(scene))
 
     def active(self, row: FloatArray) -> list[int]:
         """Return the indices of the blocks of a solution that are not dormant."""
@@ -85,18 +90,32 @@ class Parts:
         return next((place for place, block in enumerate(self.blocks) if column in block.columns), -1)
 
     def block_kind(self, row: FloatArray, block: int) -> Kind:
-        """Return the kind of the content of a block: its categories, whichever of its equals it is in."""
-        columns = self.blocks[block].columns
+        """Return the kind of a block's content: its categories, whichever of its equals it is in, and the scene."""
         return (
             float(self.blocks[block].part),
-            *(float(row[column]) for column in columns if self.space.categorical[column]),
+            *(float(row[column]) for column in (*self.choices(block), *self.scene)),
         )
+
+    def choices(self, block: int) -> list[int]:
+        """Return the columns of the categories of a block."""
+        return [column for column in self.blocks[block].columns if self.space.categorical[column]]
+
+    def count_contents(self) -> int:
+        """Return how many kinds of contents the blocks can have; interchangeable ones count once."""
+        codes = [len(p.codes) if isinstance(p, Categorical) else 1 for p in self.space.parameters]
+        by_part = {
+            block.part: math.prod(
+                codes[column] - (column == block.label) for column in (*self.choices(index), *self.scene)
+            )
+            for index, block in enumerate(self.blocks)
+        }
+        return sum(by_part.values())
 
     def kind(self, row: FloatArray, unit: int) -> Kind:
         """Return the kind of a threshold: which number, in a block with which categories."""
         block = self.block_of(unit)
         if block < 0:
-            return (-1.0, float(unit))
+            return (-1.0, float(unit), *(float(row[column]) for column in self.scene))
         position = self.blocks[block].columns.index(self.units[unit][0])
         return (float(position), *self.block_kind(row, block))
 

@@ -1,7 +1,7 @@
 """The candidates of the next generation of `edge@2`: those of open hunts, of new ones, and of exploration."""
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -33,7 +33,8 @@ from brink.search.algorithms.thresholds.state import (
 )
 from brink.search.exploration import RobustnessSurrogate, proposed_rows
 from brink.search.metric import Metric
-from brink.search.space import FloatArray
+from brink.search.parameters import Categorical
+from brink.search.space import FloatArray, frozen_array
 from brink.search.streams import Stream, generator
 from brink.search.surrogate import learning_size
 from brink.search.thresholds.estimation import next_places
@@ -63,6 +64,16 @@ _SPARE_PROPOSALS: Final = 3
 """Proposals for each one that is simulated, of which those come last whose scenario may be unsafe alone."""
 _COMMON: Final = 0.3
 """Share of unsafe solutions from which on random exploration finds enough of them."""
+_ENOUGH: Final = 2
+"""Hunts of a kind from which on simulations rather look for other kinds, where categories tell kinds apart."""
+_MOST_EXPLORED: Final = 2.0
+"""Most solutions that are explored while others of known kinds are left, as a multiple of those at the start."""
+_VARIATIONS: Final = 0.5
+"""Share of the exploration that varies a category of solutions near which a unit decides."""
+_VARIED: Final = 3
+"""Draws of the numbers of each variation, of which the most probably unsafe one is proposed."""
+_TRIED: Final = 0.5
+"""By how many ranks of robustness a kind is less promising for each time that it was explored."""
 _PREFERRED: Final = 0.25
 """Rank of robustness from which on a move to a rarer kind is preferred to a safer one."""
 
@@ -138,6 +149,8 @@ class _Planner:
         self._parts = Parts(self._space)
         self._simulated = Simulated(state.ledger.archive)
         self._generation = state.ledger.planned_generation
+        self._lacks_kinds = False
+        self._waiting = self._repeated() if self._may_explore() else set[int]()
 
     def _rng(self, draw: Draw, *index: int) -> np.random.Generator:
         return generator(self.state.ledger.seed, Stream.THRESHOLDS, draw, *index)
@@ -149,13 +162,42 @@ class _Planner:
         """
         waiting = Counter(job.hunt for job in self.state.jobs if job.purpose is not Purpose.EXPLORE)
         left = self.state.ledger.left + waiting.total()
-        costs = {place: self._cost(hunt) for place, hunt in enumerate(self.state.hunts) if hunt.stage in OPEN}
+        costs = {place: self._cost(hunt) for place, hunt in self._going_on()}
         for place in sorted(costs, key=lambda place: (costs[place], place)):
             left -= costs[place]
             if not self._plan.room or (left < 0 and (self._plan.rows or waiting)):
                 break
             if not waiting[place]:
                 self._continue(place, self.state.hunts[place])
+
+    def _going_on(self) -> list[tuple[int, Hunt]]:
+        """Return the open hunts that do not wait, with their places."""
+        return [
+            (place, hunt)
+            for place, hunt in enumerate(self.state.hunts)
+            if hunt.stage in OPEN and place not in self._waiting
+        ]
+
+    def _may_explore(self) -> bool:
+        """Return whether simulations rather look for other kinds than go into further thresholds of frequent ones."""
+        are_others = len(self._block_times()) < self._parts.count_contents()
+        return are_others and self._explored() < _MOST_EXPLORED * self._to_explore()
+
+    def _repeated(self) -> set[int]:
+        """Return the places of hunts that turned out to be of a frequent kind before any unit was moved."""
+        anchors: dict[Kind, set[int]] = defaultdict(set)
+        repeated: set[int] = set()
+        for place, hunt in enumerate(self.state.hunts):
+            begins = hunt.stage is Stage.MOVE and not hunt.moved and hunt.opposite < 0
+            if hunt.unit < 0 and not begins:
+                continue
+            content = self._content(hunt.held)
+            if begins and content and all(len(anchors[kind] - {hunt.anchor}) >= _ENOUGH for kind in content):
+                repeated.add(place)
+            else:
+                for kind in content:
+                    anchors[kind].add(hunt.anchor)
+        return repeated
 
     def _continue(self, place: int, hunt: Hunt) -> None:
         """Plan all simulations of a hunt's stage; where none is valid, go on with the stage after it."""
@@ -367,13 +409,20 @@ class _Planner:
 
         def rank(index: int) -> tuple[float, float, int]:
             hunt, waiting = options[index]
-            likely = 1.0 if waiting is not None else promise[hunt.from_safe]
+            likely = self._sharpness(hunt) if waiting is not None else promise[hunt.from_safe]
             return (1 + rarity(index)) / likely, self._length(hunt) - apart[index], index
 
+        may_explore = self._may_explore()
+        self._lacks_kinds = may_explore
         while options and self._plan.room and affordable >= 1:
             best = min(range(len(options)), key=rank)
             if exploring and rarity(best) > 0:
                 break
+            if may_explore and rarity(best) >= _ENOUGH:
+                options.pop(best), contents.pop(best)
+                apart = np.delete(apart, best)
+                continue
+            self._lacks_kinds = False
             (hunt, waiting), content = options.pop(best), contents.pop(best)
             place = len(self.state.hunts) if waiting is None else waiting
             if waiting is None:
@@ -403,6 +452,24 @@ class _Planner:
         ]
         return (1.0 + sum(unit >= 0 for unit in mine)) / (2.0 + len(mine))
 
+    def _sharpness(self, line: Hunt) -> float:
+        """Return the share of lines along such a number whose threshold was known before all trials were used."""
+        position = self._position(line)
+        ended = (Stage.THRESHOLD, Stage.CHANCY)
+        mine = [one for one in self.state.hunts if one.stage in ended and self._position(one) == position]
+        early = sum(
+            one.stage is Stage.THRESHOLD and len(one.trials) < self.state.config.trials for one in mine
+        )
+        return (1.0 + early) / (1.0 + len(mine))
+
+    def _position(self, hunt: Hunt) -> tuple[int, int]:
+        """Return which number of which kind of block decides, whatever its categories; of others, the unit."""
+        block = self._parts.block_of(hunt.unit) if hunt.unit >= 0 else -1
+        if block < 0:
+            return -1, hunt.unit
+        found = self._parts.blocks[block]
+        return found.part, found.columns.index(self._parts.units[hunt.unit][0])
+
     def _explored(self) -> int:
         """Return how many solutions were explored, or are about to be."""
         jobs = (*self.state.jobs, *self._plan.jobs)
@@ -421,7 +488,7 @@ class _Planner:
         """Return how many simulations the open hunts are expected to take, besides those in flight or planned."""
         jobs = (*self.state.jobs, *self._plan.jobs)
         asked = sum(job.purpose is not Purpose.EXPLORE for job in jobs)
-        return max(sum(self._cost(hunt) for hunt in self.state.hunts if hunt.stage in OPEN) - asked, 0.0)
+        return max(sum(self._cost(hunt) for _, hunt in self._going_on()) - asked, 0.0)
 
     def _cost(self, hunt: Hunt | None) -> float:
         """Return how many simulations a hunt is still expected to take; None for one that begins.
@@ -588,7 +655,9 @@ class _Planner:
         ]
 
     def _content(self, number: int) -> set[Kind]:
-        row = self._simulated.row(number)
+        return self._content_of(self._simulated.row(number))
+
+    def _content_of(self, row: FloatArray) -> set[Kind]:
         return {self._parts.block_kind(row, block) for block in self._parts.active(row)}
 
     def _block_times(self) -> Counter[Kind]:
@@ -628,8 +697,9 @@ class _Planner:
         What the open hunts need is not spent meanwhile.
         """
         plan, state = self._plan, self.state
-        wanted = max(self._to_explore() - self._explored(), 0)
-        if any(hunt.stage in OPEN for hunt in state.hunts):
+        share = _MOST_EXPLORED if self._lacks_kinds else 1.0
+        wanted = max(round(share * self._to_explore()) - self._explored(), 0)
+        if self._going_on():
             spare = state.ledger.left - len(plan.rows) - self._reserved() if not self._has_options() else 0.0
             plan.wanted = len(plan.rows) + min(plan.room, max(wanted, math.floor(max(spare, 0.0))))
         if not plan.rows and not state.ledger.flight:
@@ -637,10 +707,67 @@ class _Planner:
         rng = self._rng(Draw.EXPLORE, self._generation)
         if state.surrogate is not None and plan.room:
             count = plan.room - int(rng.binomial(plan.room, state.config.chance))
-            for row in self._proposed(state.surrogate, count, rng):
+            varied = self._varied(round(_VARIATIONS * plan.room), rng)
+            for row in [*varied, *self._proposed(state.surrogate, count - len(varied), rng)]:
                 plan.add(row, None, Job(Purpose.EXPLORE))
         for row in random_rows(state.ledger, plan.room, rng, plan.rows):
             plan.add(row, None, Job(Purpose.EXPLORE))
+
+    def _varied(self, count: int, rng: np.random.Generator) -> list[FloatArray]:
+        """Return solutions like those near which a unit decides, but for one category that makes their kind another.
+
+        Kinds near which no hunt has been come first that were explored least and are most probably unsafe.
+        """
+        parts, space, simulated = self._parts, self._space, self._simulated
+        held = {hunt.held for hunt in self.state.hunts if hunt.unit >= 0 and not hunt.from_safe}
+        times, tried = self._block_times(), Counter[Kind]()
+        for number in self.state.explored:
+            contents = self._content(number)
+            tried.update(contents if len(contents) == 1 else ())
+        pool: list[FloatArray] = []
+        for row in {
+            simulated.row(number).tobytes(): simulated.row(number) for number in sorted(held)
+        }.values():
+            for block in parts.active(row) if count else []:
+                columns = list(parts.blocks[block].columns)
+                for column in (*parts.choices(block), *parts.scene):
+                    category = space.parameters[column]
+                    assert isinstance(category, Categorical)
+                    for code in category.codes:
+                        pool += self._variations(row, columns, column, float(code), rng)
+        fresh = [
+            row
+            for row in self.state.ledger.unseen(pool)
+            if (content := self._content_of(row)) and not any(times[kind] for kind in content)
+        ]
+        safety = self._safety(fresh).tolist()
+        chosen: list[FloatArray] = []
+        while fresh and len(chosen) < count:
+            best = min(
+                range(len(fresh)),
+                key=lambda place: (
+                    safety[place] + _TRIED * max(tried[kind] for kind in self._content_of(fresh[place]))
+                ),
+            )
+            row = fresh.pop(best)
+            safety.pop(best)
+            tried.update(self._content_of(row))
+            chosen.append(row)
+        return chosen
+
+    def _variations(
+        self, row: FloatArray, columns: list[int], column: int, code: float, rng: np.random.Generator
+    ) -> list[FloatArray]:
+        """Return a solution with a category of a block set, once with its numbers as they are, and with others."""
+        if row[column] == code:
+            return []
+        numbers = [one for one in columns if not self._space.categorical[one]]
+        rows = np.tile(row, (_VARIED, 1))
+        rows[1:, numbers] = self._space.draw_unrepaired(_VARIED - 1, rng)[:, numbers]
+        rows[:, column] = code
+        changed = [column, *numbers]
+        repaired = (self._space.repaired_parts(one, changed, rng) for one in rows)
+        return [frozen_array(one) for one in repaired if one[column] == code]
 
     def _proposed(
         self, surrogate: RobustnessSurrogate, count: int, rng: np.random.Generator

@@ -214,6 +214,34 @@ def test_what_protects_a_drive_is_varied_where_drives_without_it_are_unsafe() ->
         assert simulated.row(hunt.safe)[column] >= 0.6 > simulated.row(hunt.unsafe)[column]
 
 
+def test_thresholds_are_of_many_kinds() -> None:
+    types, roads = ("none", *"abcdef"), ("left", "right", "straight", "crossroad")
+    space = SearchSpace(
+        (
+            Component("scenario", (Categorical("road", roads, tells_kinds=True), Real("speed", 0.0, 1.0))),
+            Component(
+                "behaviour",
+                (Categorical("type", types), Real("severity", 0.0, 1.0, resolution=0.01)),
+                (Dormant("type", "none", ("severity",)),),
+            ),
+        )
+    )
+
+    def answer(candidate: Candidate) -> Scored:
+        """Evaluate a drive: one type is often unsafe, the others rarely."""
+        row = space.join(candidate.vectors)
+        turns = 0.3 if row[2] == 1 else 0.9
+        robustness = turns + 0.02 * float(row[0]) - row[3] if row[2] else 1.0
+        return Scored(unsafe=robustness < 0, robustness=robustness)
+
+    state, _ = search(space, answer, budget=600)
+    simulated = Simulated(state.archive)
+    found = [simulated.row(hunt.held) for hunt in state.hunts if hunt.stage is Stage.THRESHOLD]
+    kinds = Counter((row[2], row[0]) for row in found)
+    assert len(kinds) >= 8
+    assert max(kinds.values()) <= 2  # so all that remains looks for other kinds
+
+
 def test_without_chance_thresholds_are_bisected_to_the_resolution() -> None:
     state, asked = search(MTQ_SPACE, lambda c: evaluate_mtq(c.vectors), budget=300, trials=0, in_flight=1)
     simulated = Simulated(state.archive)
