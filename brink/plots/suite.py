@@ -11,8 +11,8 @@ from brink.server.suites.matrix import Matrix, mark_of, state_of
 MOST_ROWS: Final = 80
 MOST_VERSIONS: Final = 12
 _COLOURS: Final = {"safe": "#cfe3f2", "unsafe": "#f7cdb5", "other": "#eee6c4", "none": "#ffffff"}
-_ROW_PX, _TOP_PX, _BOTTOM_PX, _NAMES_PX = 26, 200, 40, 430
-_NAME_CHARACTERS, _VERSION_CHARACTERS = 48, 26
+_ROW_PX, _TOP_PX, _BOTTOM_PX, _NAMES_PX = 26, 200, 40, 500
+_NAME_CHARACTERS, _VERSION_CHARACTERS = 60, 26
 
 
 def figure_matrix(matrix: Matrix, suite: str) -> Figure:
@@ -24,16 +24,25 @@ def figure_matrix(matrix: Matrix, suite: str) -> Figure:
     """
     rows, versions = matrix.rows[:MOST_ROWS], matrix.versions[:MOST_VERSIONS]
     height_px = _TOP_PX + len(rows) * _ROW_PX + _BOTTOM_PX
+    turned = " Bold: turned unsafe." if any(row.turned_unsafe for row in rows) else ""
     left_out = f" The first {len(rows)} are shown." if len(rows) < len(matrix.rows) else ""
-    figure = new_figure(height_px, suite, f"{matrix.words}. A dark frame: not as expected.{left_out}")
+    figure = new_figure(height_px, suite, f"{matrix.words}. A dark frame: not as expected.{turned}{left_out}")
     left = (MARGIN_PX + _NAMES_PX) / WIDTH_PX
     axes = figure.add_axes((left, _BOTTOM_PX / height_px, 1 - left - 0.03, len(rows) * _ROW_PX / height_px))
-    axes.set_xlim(0, max(len(versions), 4))
+    axes.set_xlim(0, max(len(versions), 3))
     axes.set_ylim(len(rows), 0)
     axes.axis("off")
     for place, row in enumerate(rows):
-        name = _cut(row.name, _NAME_CHARACTERS) + (" (turned unsafe)" if row.turned_unsafe else "")
-        axes.text(-0.05, place + 0.5, name, ha="right", va="center", fontsize=SMALL_PT - 1, color=INK)
+        axes.text(
+            -0.05,
+            place + 0.5,
+            _cut(row.name, _NAME_CHARACTERS),
+            ha="right",
+            va="center",
+            fontsize=SMALL_PT - 1,
+            color=INK,
+            weight="bold" if row.turned_unsafe else "normal",
+        )
         for column, cell in enumerate(row.cells[:MOST_VERSIONS]):
             fails = cell is not None and not cell.passed
             axes.add_patch(

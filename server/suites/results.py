@@ -30,7 +30,9 @@ class CaseResult(Body):
     unsafe: Annotated[int, Field(ge=0, description="Simulations that violated.")] = 0
     evaluated: Annotated[int, Field(ge=0, description="Simulations with a verdict.")] = 0
     failed: Annotated[int, Field(ge=0, description="Simulations without one.")] = 0
-    reason: Annotated[str, Field(description="Why it cannot run; else empty.")] = ""
+    reason: Annotated[
+        str, Field(description="Why it cannot run, or what it was in the earlier run; else empty.")
+    ] = ""
     words: Annotated[str, Field(description="The drive in words.")] = ""
     campaign: Annotated[str, Field(description="Id of the campaign that simulated it; empty for none.")] = ""
     solution: Annotated[
@@ -52,14 +54,18 @@ class CaseResult(Body):
             filter(None, (shown, f"expected {self.expect}", self.reason))
         )
 
-    def against(self, before: "CaseResult | None") -> "CaseResult":
-        """Return the result compared with that of an earlier run, if that had a clear one."""
+    def against(self, before: "CaseResult | None", label: str) -> "CaseResult":
+        """Return the result compared with that of an earlier run and its label, if that had a clear one."""
         if before is None or before.decision not in (Decision.SAFE, Decision.UNSAFE):
             return self
         if self.verdict in (SuiteVerdict.NOT_REPRODUCED, SuiteVerdict.CANNOT_RUN):
             return self
         verdict = verdict_on(self.decision, self.expect, before=before.decision.value)
-        return self.model_copy(update={"verdict": verdict, "passed": passes(verdict, self.expect)})
+        turned = self.decision in (Decision.SAFE, Decision.UNSAFE) and self.decision is not before.decision
+        reason = f"{before.decision.value} in {label}" if turned else self.reason
+        return self.model_copy(
+            update={"verdict": verdict, "passed": passes(verdict, self.expect), "reason": reason}
+        )
 
 
 class SuiteResults(Body):
@@ -91,7 +97,7 @@ class SuiteResults(Body):
     def compared(self, earlier: "SuiteResults") -> "SuiteResults":
         """Return the results compared with those of an earlier run, drive by drive."""
         before = {case.name: case for case in earlier.cases}
-        cases = [case.against(before.get(case.name)) for case in self.cases]
+        cases = [case.against(before.get(case.name), earlier.label) for case in self.cases]
         return self.model_copy(update={"cases": cases, "against": earlier.label})
 
 

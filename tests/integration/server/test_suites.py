@@ -141,7 +141,7 @@ def test_a_change_breaks_and_fixes_drives(bench: Bench) -> None:
     assert failures == {"unsafe-1", "safe-2"}
     comment = (bench.folder / "comment.md").read_text()
     assert "**2 not as expected**" in comment
-    assert "| safe-2 | broken | 5 of 5 | safe |" in comment
+    assert "| unsafe-1 | broken | 5 of 5 | unsafe | safe in limit=0.5 |" in comment
     text = file.read_text().replace("expect: unsafe", "expect: safe")
     file.write_text(text)
     kept = bench.brink("suite", "run", "hazards.yaml", "--set", "limit=0.5", "--json")
