@@ -124,7 +124,7 @@ class SuiteBench:
 
     @property
     def _database(self) -> str:
-        return str(self.folder / "brink.db")
+        return f"sqlite:///{(self.folder / 'brink.db').resolve()}"
 
     def _changes(self, version: str) -> dict[str, Any]:
         folder = self.folder.resolve()
