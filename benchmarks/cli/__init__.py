@@ -11,7 +11,7 @@ from benchmarks.cli.perception import detector, perturbations, rendering, simood
 from benchmarks.cli.searches import finders, mumoea, search
 from benchmarks.cli.service import archive, chaos, dashboard, queue, scale, soak, stalls, turns, utilisation
 from benchmarks.cli.statistics import coverage, rate
-from benchmarks.cli.urban import command, control, difficulty, drivers, driving, sim, suite
+from benchmarks.cli.urban import command, control, difficulty, drivers, driving, sim
 from brink.cli.commands import HelpfulGroup
 
 bench = typer.Typer(
@@ -27,7 +27,6 @@ for _command in (
     difficulty,
     drivers,
     driving,
-    suite,
     command,
     control,
     sim,

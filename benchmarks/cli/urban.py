@@ -1,4 +1,4 @@
-"""The urban problem, its suites and what an episode costs: `difficulty`, `drivers`, `driving`, `sim` and others."""
+"""The urban problem and what an episode costs: `difficulty`, `drivers`, `driving`, `command`, `control`, `sim`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -90,42 +90,6 @@ def driving(
 
     with show_progress() as progress:
         rows = measure_driving(drives=drives, seed=seed, progress=progress)
-    conclude_rows(rows, as_json=as_json)
-
-
-def suite(
-    folder: Annotated[
-        Path, typer.Option(help="Keeps the database; a second measurement continues it.")
-    ] = Path("brink-suite"),
-    campaigns: Annotated[
-        int, typer.Option(min=1, help="Searches whose thresholds and pairs are the suite.")
-    ] = 2,
-    simulations: Annotated[int, typer.Option(min=20, help="Budget of each.")] = 1300,
-    drives: Annotated[int, typer.Option(min=1, help="Drives of the suite that are repeated.")] = 60,
-    repeats: Annotated[int, typer.Option(min=5, help="Plain repeats of each drive with each version.")] = 20,
-    service: Annotated[
-        int, typer.Option(min=0, help="Drives of the suite beside a bare loop; 0 to leave it out.")
-    ] = 200,
-    processes: Processes = 2,
-    as_json: AsJson = False,
-) -> None:
-    """Measure whether suites say what plain repeats show, and whose hazards other driving systems share.
-
-    Needs cmake and the extra `fiss`. Example: python -m benchmarks suite --drives 60
-    """
-    from benchmarks.suite import SuiteBench
-
-    with show_progress() as progress:
-        rows = SuiteBench(
-            folder=folder,
-            campaigns=campaigns,
-            simulations=simulations,
-            drives=drives,
-            repeats=repeats,
-            service=service,
-            processes=processes,
-            progress=progress,
-        ).measure()
     conclude_rows(rows, as_json=as_json)
 
 
