@@ -714,9 +714,15 @@ class _Trial:
             self.messages, self.requests = proxy.faults, proxy.requests
 
     async def _begin(self, client: httpx.AsyncClient) -> None:
-        """Wait for the first result, so that the faults strike work, however slowly processes start."""
+        """Wait for the first result, so that the faults strike work, however slowly processes start.
+
+        Raises:
+            MeasurementFailed: There is none in time.
+        """
         deadline = time.monotonic() + FINISH_TIMEOUT_S
-        while not self._ledger.statuses and time.monotonic() < deadline:
+        while not self._ledger.statuses:
+            if time.monotonic() > deadline:
+                raise MeasurementFailed(f"no result within {FINISH_TIMEOUT_S:.0f} s of the start")
             self._site.restart_exited()
             await self._keep_busy(client)
             self._progress("first result", 0, 1)

@@ -92,7 +92,8 @@ def _systems() -> Iterator[dict[str, str]]:
     with tempfile.TemporaryDirectory(prefix="brink-") as folder:
         os.environ[COMMANDS_VARIABLE] = folder
         cpp = Path(shutil.copytree(EXAMPLES / "cpp", Path(folder) / "cpp"))
-        build_cpp(cpp)
+        for command in (["cmake", "-B", "build"], ["cmake", "--build", "build"]):
+            subprocess.run(command, cwd=cpp, check=True, stdout=subprocess.DEVNULL)
         fmu = Path(shutil.copytree(EXAMPLES / "fmu", Path(folder) / "fmu"))
         _build_fmu(fmu)
         files = (cpp / "idm.yaml", EXAMPLES / "aeb_process.yaml", fmu / "acc.yaml")
@@ -109,17 +110,6 @@ def _systems() -> Iterator[dict[str, str]]:
             "ACC, FMU": programs[2].id(),
         }
         end_processes()
-
-
-def build_cpp(folder: Path) -> None:
-    """Build the example in C++ in a copy of its folder.
-
-    Raises:
-        OSError: There is no cmake.
-        subprocess.CalledProcessError: There is no compiler.
-    """
-    for command in (["cmake", "-B", "build"], ["cmake", "--build", "build"]):
-        subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
 
 
 def _build_fmu(folder: Path) -> None:

@@ -19,7 +19,7 @@ from brink.server.errors import ServerError
 from brink.sim.catalogue import PLUGINS_VARIABLE
 
 START_TIMEOUT_S = 60.0
-BRINK = (sys.executable, "-c", "from brink.cli.main import main; main()")
+_BRINK = (sys.executable, "-c", "from brink.cli.main import main; main()")
 _LOOPBACK = "127.0.0.1"
 
 
@@ -117,7 +117,7 @@ class CoordinatorProcess(Process):
         self.port = free_port()
         self.url = f"http://{_LOOPBACK}:{self.port}"
         super().__init__(
-            [*BRINK, "serve", "--database", database, "--host", _LOOPBACK, "--port", str(self.port)],
+            [*_BRINK, "serve", "--database", database, "--host", _LOOPBACK, "--port", str(self.port)],
             log_file,
             env,
         )

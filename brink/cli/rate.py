@@ -153,7 +153,7 @@ def _run_first(
     Raises:
         InvalidInput: Its algorithm estimates no rate.
     """
-    # These load the coordinator, which takes longer than to show a rate.
+    # These load the coordinator, which takes longer than showing a rate.
     from brink.api.live import CampaignDisplay
     from brink.api.runs import CampaignRun
     from brink.cli.local import CommandSession, RunOptions, run_to_end

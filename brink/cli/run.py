@@ -118,10 +118,11 @@ def run(
         port=port,
     )
     body, _ = checked_body(options, odd, simulations)
+    screen = console(stderr=as_json)
     complete = run_to_end(
         CampaignRun(body, pictures=pictures),
         options,
-        (screen := console(stderr=as_json)),
+        screen,
         CampaignDisplay(screen),
         lambda session, progress: _finish(
             session, progress, body, options, pictures=pictures, replays=replays

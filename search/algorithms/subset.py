@@ -349,7 +349,7 @@ def _closed(state: SubsetState, threshold: float, ended: Ended) -> SubsetState:
 
 
 def _variation(inside: BoolArray, *, is_chained: bool) -> float | None:
-    """Return the coefficient of variation of a level's share; None if nothing is inside.
+    """Return the coefficient of variation of a level's share; None if no sample is inside.
 
     Args:
         inside: Whether each sample is inside, shape ``(chains, length)``.

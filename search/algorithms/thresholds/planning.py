@@ -65,15 +65,15 @@ _SPARE_PROPOSALS: Final = 3
 _COMMON: Final = 0.3
 """Share of unsafe solutions from which on random exploration finds enough of them."""
 _ENOUGH: Final = 2
-"""Hunts of a kind from which on simulations rather look for other kinds, where categories tell kinds apart."""
+"""Hunts of a kind after which simulations look for other kinds first, where categories tell kinds apart."""
 _MOST_EXPLORED: Final = 2.0
-"""Most solutions that are explored while others of known kinds are left, as a multiple of those at the start."""
+"""Most solutions to explore while only hunts of frequent kinds are left, as a multiple of those at the start."""
 _VARIATIONS: Final = 0.5
-"""Share of the exploration that varies a category of solutions near which a unit decides."""
+"""Share of the exploration that changes one category of a solution whose deciding unit is known."""
 _VARIED: Final = 3
-"""Draws of the numbers of each variation, of which the most probably unsafe one is proposed."""
+"""Variants of each change, with different numbers; the one most likely to be unsafe is proposed."""
 _TRIED: Final = 0.5
-"""By how many ranks of robustness a kind is less promising for each time that it was explored."""
+"""How much each solution of a kind that was explored in vain lowers its rank, in ranks of robustness."""
 _PREFERRED: Final = 0.25
 """Rank of robustness from which on a move to a rarer kind is preferred to a safer one."""
 
@@ -179,7 +179,7 @@ class _Planner:
         ]
 
     def _may_explore(self) -> bool:
-        """Return whether simulations rather look for other kinds than go into further thresholds of frequent ones."""
+        """Return whether to look for other kinds before further thresholds of frequent ones."""
         are_others = len(self._block_times()) < self._parts.count_contents()
         return are_others and self._explored() < _MOST_EXPLORED * self._to_explore()
 
@@ -400,6 +400,7 @@ class _Planner:
         apart = self._distances([hunt for hunt, _ in options])
 
         promise = {from_safe: self._promise(from_safe=from_safe) for from_safe in (False, True)}
+        sharpness = self._sharpness({self._position(self.state.hunts[place]) for place in ready})
 
         def rarity(index: int) -> int:
             hunt = options[index][0]
@@ -409,7 +410,7 @@ class _Planner:
 
         def rank(index: int) -> tuple[float, float, int]:
             hunt, waiting = options[index]
-            likely = self._sharpness(hunt) if waiting is not None else promise[hunt.from_safe]
+            likely = promise[hunt.from_safe] if waiting is None else sharpness[self._position(hunt)]
             return (1 + rarity(index)) / likely, self._length(hunt) - apart[index], index
 
         may_explore = self._may_explore()
@@ -419,7 +420,7 @@ class _Planner:
             if exploring and rarity(best) > 0:
                 break
             if may_explore and rarity(best) >= _ENOUGH:
-                options.pop(best), contents.pop(best)
+                del options[best], contents[best]
                 apart = np.delete(apart, best)
                 continue
             self._lacks_kinds = False
@@ -452,15 +453,17 @@ class _Planner:
         ]
         return (1.0 + sum(unit >= 0 for unit in mine)) / (2.0 + len(mine))
 
-    def _sharpness(self, line: Hunt) -> float:
-        """Return the share of lines along such a number whose threshold was known before all trials were used."""
-        position = self._position(line)
-        ended = (Stage.THRESHOLD, Stage.CHANCY)
-        mine = [one for one in self.state.hunts if one.stage in ended and self._position(one) == position]
-        early = sum(
-            one.stage is Stage.THRESHOLD and len(one.trials) < self.state.config.trials for one in mine
-        )
-        return (1.0 + early) / (1.0 + len(mine))
+    def _sharpness(self, positions: set[tuple[int, int]]) -> dict[tuple[int, int], float]:
+        """Return, by position, the share of ended lines whose threshold was known before all trials were used."""
+        ended, early = Counter[tuple[int, int]](), Counter[tuple[int, int]]()
+        for hunt in self.state.hunts if positions else ():
+            if hunt.stage in (Stage.THRESHOLD, Stage.CHANCY):
+                position = self._position(hunt)
+                ended[position] += 1
+                early[position] += (
+                    hunt.stage is Stage.THRESHOLD and len(hunt.trials) < self.state.config.trials
+                )
+        return {one: (1.0 + early[one]) / (1.0 + ended[one]) for one in positions}
 
     def _position(self, hunt: Hunt) -> tuple[int, int]:
         """Return which number of which kind of block decides, whatever its categories; of others, the unit."""
@@ -714,54 +717,48 @@ class _Planner:
             plan.add(row, None, Job(Purpose.EXPLORE))
 
     def _varied(self, count: int, rng: np.random.Generator) -> list[FloatArray]:
-        """Return solutions like those near which a unit decides, but for one category that makes their kind another.
+        """Return solutions like those whose deciding unit is known, with one category changed to make another kind.
 
-        Kinds near which no hunt has been come first that were explored least and are most probably unsafe.
+        Kinds that no hunt has are chosen, those explored least and most likely to be unsafe first.
         """
-        parts, space, simulated = self._parts, self._space, self._simulated
+        parts, simulated = self._parts, self._simulated
         held = {hunt.held for hunt in self.state.hunts if hunt.unit >= 0 and not hunt.from_safe}
+        if count <= 0 or not held or not parts.blocks:
+            return []
+        pool: list[FloatArray] = []
+        for row in {(row := simulated.row(number)).tobytes(): row for number in sorted(held)}.values():
+            for block in parts.active(row):
+                for column in (*parts.choices(block), *parts.scene):
+                    category = self._space.parameters[column]
+                    assert isinstance(category, Categorical)
+                    for code in category.codes:
+                        pool += self._variations(row, block, column, float(code), rng)
         times, tried = self._block_times(), Counter[Kind]()
         for number in self.state.explored:
             contents = self._content(number)
             tried.update(contents if len(contents) == 1 else ())
-        pool: list[FloatArray] = []
-        for row in {
-            simulated.row(number).tobytes(): simulated.row(number) for number in sorted(held)
-        }.values():
-            for block in parts.active(row) if count else []:
-                columns = list(parts.blocks[block].columns)
-                for column in (*parts.choices(block), *parts.scene):
-                    category = space.parameters[column]
-                    assert isinstance(category, Categorical)
-                    for code in category.codes:
-                        pool += self._variations(row, columns, column, float(code), rng)
-        fresh = [
-            row
-            for row in self.state.ledger.unseen(pool)
-            if (content := self._content_of(row)) and not any(times[kind] for kind in content)
-        ]
-        safety = self._safety(fresh).tolist()
+        fresh = [(row, self._content_of(row)) for row in self.state.ledger.unseen(pool)]
+        fresh = [(row, content) for row, content in fresh if content and not any(times[k] for k in content)]
+        safety = self._safety([row for row, _ in fresh]).tolist()
         chosen: list[FloatArray] = []
-        while fresh and len(chosen) < count:
+        left = list(range(len(fresh)))
+        while left and len(chosen) < count:
             best = min(
-                range(len(fresh)),
-                key=lambda place: (
-                    safety[place] + _TRIED * max(tried[kind] for kind in self._content_of(fresh[place]))
-                ),
+                left, key=lambda place: safety[place] + _TRIED * max(tried[k] for k in fresh[place][1])
             )
-            row = fresh.pop(best)
-            safety.pop(best)
-            tried.update(self._content_of(row))
+            left.remove(best)
+            row, content = fresh[best]
+            tried.update(content)
             chosen.append(row)
         return chosen
 
     def _variations(
-        self, row: FloatArray, columns: list[int], column: int, code: float, rng: np.random.Generator
+        self, row: FloatArray, block: int, column: int, code: float, rng: np.random.Generator
     ) -> list[FloatArray]:
-        """Return a solution with a category of a block set, once with its numbers as they are, and with others."""
+        """Return variants of a solution with a category set: the block's numbers as they are, and drawn again."""
         if row[column] == code:
             return []
-        numbers = [one for one in columns if not self._space.categorical[one]]
+        numbers = [one for one in self._parts.blocks[block].columns if not self._space.categorical[one]]
         rows = np.tile(row, (_VARIED, 1))
         rows[1:, numbers] = self._space.draw_unrepaired(_VARIED - 1, rng)[:, numbers]
         rows[:, column] = code
